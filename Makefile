@@ -1,0 +1,80 @@
+# make serve   serve the committed models on http://127.0.0.1:8000 (PORT=9000 make serve)
+# make test    format, lint, types, architecture and every test
+#
+# Both need Python 3.11 or newer (PYTHON=/path/to/python3.11) and make the environments they run in.
+
+PORT ?= 8000
+UV_VERSION := 0.13.9
+
+# Tests in these folders run where torch cannot be imported; all others run in .venv/test.
+TORCH_FREE_TESTS := $(wildcard tests/service tests/contract)
+
+export PYTHON
+export TORCH_INSTALL_ARGS
+# No step looks for newer releases or reports to anyone.
+export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
+export ORT_DISABLE_TELEMETRY := 1
+
+BIN := .venv/test/bin
+PYTEST_ARGS ?=
+
+# $(call step,NAME,COMMAND): one line before the command, and one that says which step failed.
+define step
+	@printf -- '--- %s\n' '$(1)'; $(2) || { printf 'rollcast: FAILED: %s\n' '$(1)' >&2; exit 1; }
+endef
+
+.PHONY: help serve test format lint environments lock clean
+.NOTPARALLEL:
+
+help:
+	@echo 'make serve    serve the committed models on http://127.0.0.1:8000 (PORT=... picks another port)'
+	@echo 'make test     run every check and test'
+	@echo 'make format   format the code'
+	@echo 'make lint     the checks of make test without its tests'
+	@echo 'make lock     compile requirements/*.txt anew from pyproject.toml (UPGRADE=1: newest versions)'
+	@echo 'make clean    remove environments and caches'
+
+serve:
+	@tools/environment.sh service
+	@exec .venv/service/bin/python -m service --host 127.0.0.1 --port $(PORT)
+
+test: environments lint
+	$(call step,tests,$(BIN)/python -m pytest tests $(TORCH_FREE_TESTS:%=--ignore=%) $(PYTEST_ARGS))
+	$(call step,no torch in the service environment,! .venv/service/bin/python -c 'import torch' 2>/dev/null)
+	$(call step,tests without torch,.venv/service-test/bin/python -m pytest $(or $(TORCH_FREE_TESTS),tests/service) $(PYTEST_ARGS))
+	@echo 'rollcast: every check and test passed'
+
+lint:
+	@tools/environment.sh test --torch
+	$(call step,ruff format,$(BIN)/ruff format --check --quiet . || { $(BIN)/ruff format --check .; false; })
+	$(call step,ruff check,$(BIN)/ruff check .)
+	$(call step,pyright,$(BIN)/pyright)
+	$(call step,import-linter,$(BIN)/lint-imports --no-logo)
+
+format:
+	@tools/environment.sh test --torch
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+environments:
+	@tools/environment.sh test --torch
+	@tools/environment.sh service
+	@tools/environment.sh service-test
+
+# The lock of the tests holds every package; the other two take their versions from it.
+UV_COMPILE = .venv/lock/bin/uv pip compile pyproject.toml --quiet --universal --python-version 3.11 \
+	--generate-hashes --no-emit-package torch --annotation-style line --no-emit-index-url \
+	--custom-compile-command 'make lock' $(if $(UPGRADE),--upgrade)
+
+lock:
+	@test -x .venv/lock/bin/uv || { $(or $(PYTHON),python3) -m venv .venv/lock; }
+	@.venv/lock/bin/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION)
+	$(UV_COMPILE) --all-extras --output-file requirements/test.txt
+	$(UV_COMPILE) --extra service --constraint requirements/test.txt \
+		--output-file requirements/service.txt
+	$(UV_COMPILE) --extra service --extra test --constraint requirements/test.txt \
+		--output-file requirements/service-test.txt
+
+clean:
+	rm -rf .venv .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist *.egg-info
+	find . -path ./.git -prune -o -type d -name __pycache__ -exec rm -rf {} +
