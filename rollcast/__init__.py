@@ -1,0 +1,1 @@
+"""Rollcast: forecasts of rolling balls - the vocabulary that training, service and clients share."""

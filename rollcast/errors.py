@@ -1,0 +1,102 @@
+"""Every exception that this package raises on purpose.
+
+* RollcastError
+  x SceneParametersError    scene parameters that do not fit together
+  x SceneRejectedError      no acceptable scene comes out of a seed and its parameters
+  x ClientError             a call through ``rollcast.client`` failed
+    + UnreachableError      the service did not answer
+    + UnexpectedAnswerError the answer is not one of this API's
+    + ProblemError          the service answered with a problem document
+      - RefusedError        the request is at fault (400, 404, 413, 415, 422)
+      - BusyError           the queue is full (429)
+      - ServiceFailedError  the service is at fault or not ready (5xx)
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rollcast.http import Problem
+
+
+class RollcastError(Exception):
+    """Root of the package's exceptions."""
+
+
+class SceneParametersError(RollcastError):
+    """A scene parameter does not fit.
+
+    Parameters
+    ----------
+    field
+        Name of the parameter, a field of ``rollcast.scene.Scene``.
+    value
+        What was given.
+    expected
+        What would be right, in words.
+    """
+
+    def __init__(self, field: str, value: object, expected: str) -> None:
+        super().__init__(field, value, expected)
+        self.field = field
+        self.value = value
+        self.expected = expected
+
+    def __str__(self) -> str:
+        """Name the parameter, its value and what would be right."""
+        return f"{self.field} is {self.value!r}, expected {self.expected}"
+
+
+class SceneRejectedError(RollcastError):
+    """The rejection rules of the paper dropped every scene that was drawn."""
+
+
+class ClientError(RollcastError):
+    """A call to the service failed."""
+
+
+class UnreachableError(ClientError):
+    """The service did not answer: it is down, the address is wrong, or the time ran out."""
+
+
+class UnexpectedAnswerError(ClientError):
+    """The answer is not one of this API's: something else listens at the address."""
+
+
+class ProblemError(ClientError):
+    """The service answered with a problem document (RFC 9457).
+
+    Attributes
+    ----------
+    problem
+        The document: type, title, status, detail, and where they apply field, value, expected.
+    """
+
+    def __init__(self, problem: "Problem") -> None:
+        super().__init__(problem)
+        self.problem = problem
+
+    def __str__(self) -> str:
+        """Return the document's own words."""
+        return f"{self.problem.title} ({self.problem.status}): {self.problem.detail}"
+
+
+class RefusedError(ProblemError):
+    """The request is at fault; sending it again unchanged does not help."""
+
+
+class BusyError(ProblemError):
+    """The service's queue is full.
+
+    Attributes
+    ----------
+    retry_after_s
+        Seconds after which the service asks to be tried again.
+    """
+
+    def __init__(self, problem: "Problem", retry_after_s: float) -> None:
+        super().__init__(problem)
+        self.retry_after_s = retry_after_s
+
+
+class ServiceFailedError(ProblemError):
+    """The service failed, is not ready yet or is going down."""

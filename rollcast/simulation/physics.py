@@ -1,0 +1,241 @@
+"""Rigid-body physics of one scene in PyBullet, with contact against exact surfaces.
+
+Triangle meshes eat energy at every facet. Here a static plane follows every ball instead: before
+each step it is laid at the surface point nearest to the ball's centre with the exact normal, and
+Bullet solves contact, friction, spin and impacts between balls as ever. The energy error falls
+with the square of the step (0.3 % in two seconds of rolling at 360 Hz; docs/decisions/0011).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pybullet
+
+from rollcast.camera import HEIGHTFIELD_HALF_WIDTH_M
+from rollcast.scene import Quaternion, Scene, Vector3
+from rollcast.surfaces import BOWL_RADIUS_M, EllipsoidalBowl, Surface, surface_of
+from rollcast.trajectory import FRAME_RATE_HZ, Trajectory
+
+STEPS_PER_FRAME = 9
+"""360 Hz: three substeps of 120 Hz, as in the paper's simulation details."""
+
+BALL_RESTITUTION = 0.7
+"""Between two balls (paper, section 3.1); surfaces have none and walls are elastic."""
+
+GRAVITY_M_S2 = 9.81
+
+_MAX_CONTACTS = 4
+"""Planes a ball; more than four simultaneous touching points were never seen on heightfields."""
+
+_OUT_OF_REACH_M = -100.0
+_BALLS, _WALLS = 1, 2
+
+
+@dataclass(frozen=True)
+class Material:
+    """What the paper leaves out, calibrated once to its published averages (decision 0010)."""
+
+    friction: float = 0.5
+    """Of every body; Bullet multiplies those of the two that touch."""
+    rolling_resistance: float = 0.05
+    """Resisting torque per normal force, in ball radii; it also slows the spin about the normal."""
+    damping: float = 0.02
+    """Share of linear and angular velocity lost in a second."""
+
+    def __post_init__(self) -> None:
+        if self.rolling_resistance > 0 and self.friction <= 0:
+            raise ValueError("rolling_resistance needs friction: Bullet multiplies the two")
+
+
+class State(NamedTuple):
+    """Centres (m), orientations (x, y, z, w) and angular velocities (rad/s) of all balls."""
+
+    centres: list[Vector3]
+    orientations: list[Quaternion]
+    spins: list[Vector3]
+
+
+class World:
+    """One scene, stepped frame by frame inside a PyBullet client that is used again and again.
+
+    A client costs about 25 MB that PyBullet never gives back, so make one a process.
+    """
+
+    def __init__(self, material: Material | None = None, steps_per_frame: int = STEPS_PER_FRAME):
+        self._material = material or Material()
+        self._steps_per_frame = steps_per_frame
+        self._client = pybullet.connect(pybullet.DIRECT)
+
+    def close(self) -> None:
+        """Disconnect the PyBullet client."""
+        pybullet.disconnect(self._client)
+
+    def load(self, scene: Scene, surface: Surface | None = None) -> None:
+        """Replace whatever the world held by the start of ``scene``.
+
+        Parameters
+        ----------
+        surface
+            What the balls roll on instead of the scene's own surface.
+        """
+        client = self._client
+        pybullet.resetSimulation(physicsClientId=client)
+        pybullet.setGravity(0, 0, -GRAVITY_M_S2, physicsClientId=client)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=1 / (FRAME_RATE_HZ * self._steps_per_frame),
+            numSolverIterations=50,
+            restitutionVelocityThreshold=0,
+            contactBreakingThreshold=1e-5,
+            physicsClientId=client,
+        )
+        self._radius = scene.radius_m
+        self.surface: Surface = surface_of(scene) if surface is None else surface
+        sphere = pybullet.createCollisionShape(
+            pybullet.GEOM_SPHERE, radius=scene.radius_m, physicsClientId=client
+        )
+        plane = pybullet.createCollisionShape(
+            pybullet.GEOM_PLANE, planeNormal=[0, 0, 1], physicsClientId=client
+        )
+        self._balls = [self._make_ball(scene, k, sphere) for k in range(scene.objects)]
+        self._planes = [
+            [self._make_surface_plane(k, plane) for _ in range(_MAX_CONTACTS)]
+            for k in range(scene.objects)
+        ]
+        if scene.scenario == "heightfield":
+            self._make_walls()
+        self._centres = list(scene.positions_m)
+        self.touching: list[list[Vector3]] = [[] for _ in self._balls]
+
+    # Bullet multiplies the two bodies' coefficients of restitution and of friction.
+    def _make_ball(self, scene: Scene, index: int, shape: int) -> int:
+        client = self._client
+        body = pybullet.createMultiBody(
+            1.0, shape, -1, scene.positions_m[index], scene.orientations_xyzw[index],
+            physicsClientId=client,
+        )  # fmt: skip
+        pybullet.resetBaseVelocity(
+            body, scene.velocities_m_s[index], (0, 0, 0), physicsClientId=client
+        )
+        pybullet.changeDynamics(
+            body, -1, lateralFriction=self._material.friction, rollingFriction=0,
+            spinningFriction=0, restitution=math.sqrt(BALL_RESTITUTION),
+            linearDamping=self._material.damping, angularDamping=self._material.damping,
+            physicsClientId=client,
+        )  # fmt: skip
+        own = 4 << index
+        pybullet.setCollisionFilterGroupMask(
+            body, -1, _BALLS | own, _BALLS | _WALLS | own, physicsClientId=client
+        )
+        return body
+
+    def _make_surface_plane(self, index: int, shape: int) -> int:
+        """Make a plane that only ball ``index`` can touch."""
+        client = self._client
+        body = pybullet.createMultiBody(
+            0, shape, -1, (0, 0, _OUT_OF_REACH_M), physicsClientId=client
+        )
+        material = self._material
+        # Bullet multiplies the resistance of one body by the friction of the other.
+        resistance = (
+            material.rolling_resistance * self._radius / material.friction
+            if material.rolling_resistance
+            else 0.0
+        )
+        pybullet.changeDynamics(
+            body, -1, lateralFriction=material.friction, rollingFriction=resistance,
+            spinningFriction=resistance, restitution=0, physicsClientId=client,
+        )  # fmt: skip
+        own = 4 << index
+        pybullet.setCollisionFilterGroupMask(body, -1, own, own, physicsClientId=client)
+        return body
+
+    def _make_walls(self) -> None:
+        """Four elastic, frictionless planes around the camera's view."""
+        client = self._client
+        for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            shape = pybullet.createCollisionShape(
+                pybullet.GEOM_PLANE, planeNormal=[-x, -y, 0], physicsClientId=client
+            )
+            origin = (x * HEIGHTFIELD_HALF_WIDTH_M, y * HEIGHTFIELD_HALF_WIDTH_M, 0)
+            body = pybullet.createMultiBody(0, shape, -1, origin, physicsClientId=client)
+            pybullet.changeDynamics(
+                body, -1, lateralFriction=0, restitution=1 / math.sqrt(BALL_RESTITUTION),
+                physicsClientId=client,
+            )  # fmt: skip
+            pybullet.setCollisionFilterGroupMask(body, -1, _WALLS, _BALLS, physicsClientId=client)
+
+    def step_frame(self) -> None:
+        """Advance by one frame of 1/40 s."""
+        for _ in range(self._steps_per_frame):
+            for index, centre in enumerate(self._centres):
+                self._lay_planes(index, centre)
+            pybullet.stepSimulation(physicsClientId=self._client)
+            self._centres = [
+                pybullet.getBasePositionAndOrientation(ball, physicsClientId=self._client)[0]
+                for ball in self._balls
+            ]
+
+    def _lay_planes(self, index: int, centre: Vector3) -> None:
+        contacts = self.surface.contacts(centre, self._radius)[:_MAX_CONTACTS]
+        before = len(self.touching[index])
+        self.touching[index] = [contact.point for contact in contacts]
+        for plane, (point, normal) in zip(self._planes[index], contacts, strict=False):
+            pybullet.resetBasePositionAndOrientation(
+                plane, point, _turn_from_vertical(normal), physicsClientId=self._client
+            )
+        for plane in self._planes[index][len(contacts) : before]:
+            pybullet.resetBasePositionAndOrientation(
+                plane, (0, 0, _OUT_OF_REACH_M), (0, 0, 0, 1), physicsClientId=self._client
+            )
+
+    def left_bowl(self) -> bool:
+        """Whether a ball's support has passed the rim (never on a heightfield: it has walls)."""
+        return isinstance(self.surface, EllipsoidalBowl) and any(
+            point[2] > BOWL_RADIUS_M for points in self.touching for point in points
+        )
+
+    def can_leave_bowl(self) -> bool:
+        """Whether the balls' whole energy could still lift one of them to the rim."""
+        if not isinstance(self.surface, EllipsoidalBowl):
+            return False
+        energy = 0.0
+        for ball, centre in zip(self._balls, self._centres, strict=True):
+            v, w = pybullet.getBaseVelocity(ball, physicsClientId=self._client)
+            # Unit mass; a solid sphere turns with inertia 2/5 r^2.
+            spin = 0.4 * self._radius**2 * np.dot(w, w)
+            energy += 0.5 * (np.dot(v, v) + spin) + GRAVITY_M_S2 * (centre[2] - self._radius)
+        return energy >= GRAVITY_M_S2 * (BOWL_RADIUS_M - self._radius)
+
+    def speeds_m_s(self) -> list[float]:
+        """Speed of every ball's centre."""
+        return [
+            math.hypot(*pybullet.getBaseVelocity(ball, physicsClientId=self._client)[0])
+            for ball in self._balls
+        ]
+
+    def state(self) -> State:
+        """Tell what the balls do now."""
+        poses = [
+            pybullet.getBasePositionAndOrientation(ball, physicsClientId=self._client)
+            for ball in self._balls
+        ]
+        spins = [
+            pybullet.getBaseVelocity(ball, physicsClientId=self._client)[1] for ball in self._balls
+        ]
+        return State([pose[0] for pose in poses], [pose[1] for pose in poses], spins)
+
+
+def _turn_from_vertical(normal: Vector3) -> Quaternion:
+    """Shortest rotation that turns +z into ``normal`` (which never points straight down)."""
+    nx, ny, nz = normal
+    length = math.sqrt(nx * nx + ny * ny + (1 + nz) * (1 + nz))
+    return -ny / length, nx / length, 0.0, (1 + nz) / length
+
+
+def as_trajectory(states: Sequence[State]) -> Trajectory:
+    """Stack states of :meth:`World.state` into a trajectory."""
+    positions, orientations, spins = zip(*states, strict=True)
+    return Trajectory(np.array(positions), np.array(orientations), np.array(spins))

@@ -1,0 +1,256 @@
+"""Renders scenes as the overhead camera sees them (paper, section "Experimental Setup").
+
+Bowls carry a checkerboard under white environment light; the ellipsoid adds a lamp at the
+camera. Heightfields are lit by a small area light. The shaded background is made once a scene;
+every ball is then composed into a small patch.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from rollcast.camera import Camera
+from rollcast.scene import Scene
+from rollcast.surfaces import EllipsoidalBowl, Heightfield, surface_of
+from rollcast.trajectory import Trajectory
+
+_SUPERSAMPLES = 2
+"""Background samples per pixel and axis."""
+
+_CHECKER_SIDE_RAD = math.pi / 10
+_CHECKER_COLORS = np.array([[0.92, 0.92, 0.90], [0.22, 0.26, 0.32]])
+_GROUND_COLOR = np.array([0.80, 0.76, 0.70])
+_BEYOND_COLOR = np.array([0.05, 0.05, 0.05])
+"""Outside the rim of a bowl."""
+
+# Body octants of the textured ball, told apart by the signs of the body's x, y and z.
+_TEXTURE_COLORS = np.array(
+    [
+        [[[0.85, 0.10, 0.10], [0.95, 0.75, 0.10]], [[0.10, 0.55, 0.20], [0.10, 0.70, 0.85]]],
+        [[[0.15, 0.20, 0.75], [0.95, 0.95, 0.95]], [[0.70, 0.20, 0.70], [0.95, 0.45, 0.10]]],
+    ]
+)
+_BALL_COLORS = np.array([[0.9, 0.1, 0.1], [0.1, 0.8, 0.1], [0.15, 0.25, 0.95]])
+_DIFFUSE, _SPECULAR, _SHININESS = 0.8, 0.5, 30
+"""Coloured balls (paper, section 3.1): Phong with a diffuse and a specular intensity."""
+
+_LIGHT_SIDE_M = 0.1
+_LIGHT_POWER = 4.5
+_AMBIENT_ON_HEIGHTFIELD = 0.12
+_SHADOW_STEPS = 16
+
+
+@dataclass(frozen=True)
+class _Lighting:
+    """Environment and lamp intensities of a scenario."""
+
+    environment: float
+    camera_lamp: float = 0.0
+
+
+_BOWL_LIGHTING = {
+    "hemisphere": _Lighting(environment=0.7),
+    "ellipsoid": _Lighting(environment=0.2, camera_lamp=0.8),
+}
+
+
+class Renderer:
+    """Renders frames of one scene through one camera.
+
+    Parameters
+    ----------
+    scene, camera
+        What is seen, and from where.
+    """
+
+    def __init__(self, scene: Scene, camera: Camera) -> None:
+        self._scene = scene
+        self._camera = camera
+        self._surface = surface_of(scene)
+        self._background = self._make_background()
+        x, y = camera.pixel_centres_m()
+        height = self._surface.height_and_normal(x, y)[0]
+        self._heights = np.where(np.isnan(height), -np.inf, height).astype(np.float32)
+        self._ground_points = np.stack([x, y, self._heights], axis=-1).astype(np.float32)
+
+    def render(self, trajectory: Trajectory) -> UInt8[np.ndarray, "frames size size 3"]:
+        """Render every frame of a trajectory."""
+        return np.stack(
+            [
+                self._frame(positions, orientations)
+                for positions, orientations in zip(
+                    trajectory.positions_m, trajectory.orientations_xyzw, strict=True
+                )
+            ]
+        )
+
+    def _frame(self, positions: np.ndarray, orientations: np.ndarray) -> np.ndarray:
+        image = self._background.copy()
+        if self._scene.light_position_m is not None:
+            for position in positions:
+                self._cast_shadow(image, position)
+        # From low to high: with an orthographic camera above, the higher ball hides the lower.
+        for index in np.argsort(positions[:, 2]):
+            self._compose_ball(image, int(index), positions[index], orientations[index])
+        return np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)
+
+    def _make_background(self) -> Float[np.ndarray, "size size 3"]:
+        size = self._camera.image_size
+        fine = Camera(self._camera.half_width_m, _SUPERSAMPLES * size)
+        x, y = fine.pixel_centres_m()
+        z, normals = self._surface.height_and_normal(x, y)
+        points = np.stack([x, y, z], axis=-1)
+        if isinstance(self._surface, EllipsoidalBowl):
+            colors = _checkerboard(self._surface, x, y)
+        else:
+            colors = np.broadcast_to(_GROUND_COLOR, points.shape)
+        light = self._light_on(points, normals)
+        if isinstance(self._surface, Heightfield):
+            lamp = light - _AMBIENT_ON_HEIGHTFIELD
+            light = _AMBIENT_ON_HEIGHTFIELD + lamp * self._terrain_visibility(points)
+        shaded = np.where(np.isnan(z)[..., None], _BEYOND_COLOR, colors * light[..., None])
+        blocks = shaded.reshape(size, _SUPERSAMPLES, size, _SUPERSAMPLES, 3)
+        return blocks.mean(axis=(1, 3)).astype(np.float32)
+
+    def _light_on(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Diffuse light on points with normals, before shadows."""
+        if self._scene.light_position_m is None:
+            lighting = _BOWL_LIGHTING[self._scene.scenario]
+            return lighting.environment + lighting.camera_lamp * np.maximum(normals[..., 2], 0)
+        towards = np.asarray(self._scene.light_position_m) - points
+        squared = np.sum(towards**2, axis=-1)
+        facing = np.maximum(np.sum(towards * normals, axis=-1) / np.sqrt(squared), 0)
+        # The lamp is a small square that faces down, so it shines with the cosine of its own angle.
+        downwards = towards[..., 2] / np.sqrt(squared)
+        return _AMBIENT_ON_HEIGHTFIELD + _LIGHT_POWER * facing * downwards / squared
+
+    def _terrain_visibility(self, points: np.ndarray) -> np.ndarray:
+        """Share of the area light that points of the ground see past the ground itself.
+
+        Rays are followed until they are above every hill, on every second point of the supersampled
+        grid: penumbrae are wider than that.
+        """
+        coarse = points[::_SUPERSAMPLES, ::_SUPERSAMPLES]
+        towards = np.asarray(self._scene.light_position_m) - coarse
+        highest = coarse[..., 2].max()
+        free = float((highest - coarse[..., 2].min()) / towards[..., 2].min())
+        clearance = np.full(coarse.shape[:-1], np.inf)
+        for fraction in np.linspace(free / _SHADOW_STEPS, free, _SHADOW_STEPS):
+            sample = coarse + fraction * towards
+            ground = self._surface.height_and_normal(sample[..., 0], sample[..., 1])[0]
+            # Height above ground in units of half the light's width as it appears from there.
+            clearance = np.minimum(
+                clearance, (sample[..., 2] - ground) / (0.5 * _LIGHT_SIDE_M * fraction)
+            )
+        visible = _smooth_step((clearance + 1) / 2)
+        return visible.repeat(_SUPERSAMPLES, axis=0).repeat(_SUPERSAMPLES, axis=1)
+
+    def _cast_shadow(self, image: np.ndarray, centre: np.ndarray) -> None:
+        """Darken the ground where a ball stands between it and the area light."""
+        rows, columns = self._shadow_box(centre)
+        points = self._ground_points[rows, columns]
+        towards = np.asarray(self._scene.light_position_m) - points
+        to_ball = centre - points
+        along = np.sum(towards * to_ball, axis=-1) / np.sum(towards**2, axis=-1)
+        passing = np.linalg.norm(to_ball - along[..., None] * towards, axis=-1)
+        penumbra = 0.5 * _LIGHT_SIDE_M * np.clip(along, 0.02, 1)
+        visible = _smooth_step(((passing - self._scene.radius_m) / penumbra + 1) / 2)
+        visible = np.where(along > 0, visible, 1.0)[..., None]
+        patch = image[rows, columns]
+        ambient = np.minimum(patch, _AMBIENT_ON_HEIGHTFIELD * _GROUND_COLOR)
+        patch[:] = ambient + (patch - ambient) * visible
+
+    def _shadow_box(self, centre: np.ndarray) -> tuple[slice, slice]:
+        """Pixels that a ball's shadow can reach: from the ball to where it meets lowest ground."""
+        light = np.asarray(self._scene.light_position_m)
+        lowest = self._ground_points[..., 2].min()
+        stretch = (centre[2] - lowest) / (light[2] - centre[2])
+        ends = np.stack([centre, centre + stretch * (centre - light)])
+        spots = self._camera.project(ends)
+        reach = (
+            (1 + stretch) * (self._scene.radius_m + _LIGHT_SIDE_M) * self._camera.pixels_per_metre
+        )
+        size = self._camera.image_size
+        left, top = np.clip(np.floor(spots.min(axis=0) - reach), 0, size).astype(int)
+        right, bottom = np.clip(np.ceil(spots.max(axis=0) + reach), 0, size).astype(int)
+        return slice(top, bottom), slice(left, right)
+
+    def _compose_ball(
+        self, image: np.ndarray, index: int, centre: np.ndarray, orientation: np.ndarray
+    ) -> None:
+        radius = self._scene.radius_m
+        scale = self._camera.pixels_per_metre
+        column, row = self._camera.project(centre)
+        reach = radius * scale + 1
+        top, bottom = _pixel_range(row, reach, len(image))
+        left, right = _pixel_range(column, reach, len(image))
+        x = ((np.arange(left, right) + 0.5 - column) / (radius * scale))[None, :]
+        y = -((np.arange(top, bottom) + 0.5 - row) / (radius * scale))[:, None]
+        distance = np.hypot(x, y)
+        # Antialiased rim: how much of the pixel lies within the disc, to first order.
+        coverage = np.clip((1 - distance) * radius * scale + 0.5, 0, 1)
+        shrink = np.minimum(1, 1 / np.maximum(distance, 1e-9))
+        x, y = x * shrink, y * shrink
+        normals = np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1)
+        patch = image[top:bottom, left:right]
+        hidden = centre[2] + radius * normals[..., 2] < self._heights[top:bottom, left:right]
+        coverage = np.where(hidden, 0, coverage)[..., None]
+        color = self._ball_color(index, normals, centre, orientation)
+        patch += coverage * (color - patch)
+
+    def _ball_color(
+        self, index: int, normals: np.ndarray, centre: np.ndarray, orientation: np.ndarray
+    ) -> np.ndarray:
+        light = self._light_on(centre + self._scene.radius_m * normals, normals)[..., None]
+        if self._scene.textured:
+            sharpness = self._scene.radius_m * self._camera.pixels_per_metre
+            return light * _octant_colors(normals @ _rotation(orientation), sharpness)
+        if self._scene.objects == 1:
+            return light * np.ones(3)
+        # The highlight is that of a lamp at the camera: the mirrored ray comes back along +z.
+        highlight = _SPECULAR * np.maximum(2 * normals[..., 2:] ** 2 - 1, 0) ** _SHININESS
+        return _DIFFUSE * light * _BALL_COLORS[index] / _BALL_COLORS.max() + highlight
+
+
+def _checkerboard(bowl: EllipsoidalBowl, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    polar, azimuth = bowl.angles(x, y)
+    fields = np.floor(polar / _CHECKER_SIDE_RAD) + np.floor(azimuth / _CHECKER_SIDE_RAD)
+    return _CHECKER_COLORS[(fields.astype(int) % 2)]
+
+
+def _octant_colors(body_normals: np.ndarray, sharpness: float) -> np.ndarray:
+    """Colour of the texture at body directions; edges are one pixel wide."""
+    weights = np.clip(0.5 + body_normals * sharpness / 2, 0, 1)
+    x, y, z = weights[..., 0:1], weights[..., 1:2], weights[..., 2:3]
+    c = _TEXTURE_COLORS
+    low = (c[0, 0, 0] * (1 - z) + c[0, 0, 1] * z) * (1 - y) + (
+        c[0, 1, 0] * (1 - z) + c[0, 1, 1] * z
+    ) * y
+    high = (c[1, 0, 0] * (1 - z) + c[1, 0, 1] * z) * (1 - y) + (
+        c[1, 1, 0] * (1 - z) + c[1, 1, 1] * z
+    ) * y
+    return low * (1 - x) + high * x
+
+
+def _rotation(quaternion_xyzw: np.ndarray) -> np.ndarray:
+    """Matrix that turns body axes into world axes; ``v_world @ matrix`` gives body axes."""
+    x, y, z, w = quaternion_xyzw
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _smooth_step(t: np.ndarray) -> np.ndarray:
+    t = np.clip(t, 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+def _pixel_range(centre: float, reach: float, size: int) -> tuple[int, int]:
+    low = min(max(math.floor(centre - reach), 0), size)
+    return low, min(max(math.ceil(centre + reach), low), size)

@@ -1,0 +1,206 @@
+"""Scene distributions of the paper's section "Experimental Setup", without its rejection rules.
+
+Every field is drawn whether or not the caller fixes it, so fixing one leaves the others' draws
+alone. What the paper leaves open is settled in docs/decisions/0010.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import pybullet
+from pydantic import TypeAdapter, ValidationError
+
+from rollcast.camera import HEIGHTFIELD_HALF_WIDTH_M
+from rollcast.errors import SceneParametersError
+from rollcast.scene import LARGE_RADIUS_M, SCENARIOS, Scenario, Scene, Vector3
+from rollcast.surfaces import Contact, EllipsoidalBowl, Heightfield
+
+NOISE_PLANE_SIDE_M = 8.0
+LIGHT_HEIGHT_M = 2.0
+MAX_STARTS = 1000
+"""Draws of one ball's start before the scene is taken as it is, for the whole to be judged."""
+
+
+class Start(NamedTuple):
+    """Where a ball begins, and how fast."""
+
+    position_m: Vector3
+    velocity_m_s: Vector3
+
+
+def scene_generator(scenario: Scenario, objects: int, seed: int) -> np.random.Generator:
+    """Return the one source of randomness of a seed: its scene and the redraws of it."""
+    return np.random.default_rng([seed, SCENARIOS.index(scenario), objects])
+
+
+def draw_scene(
+    scenario: Scenario,
+    objects: int,
+    seed: int,
+    generator: np.random.Generator,
+    fixed: Mapping[str, object],
+    acceptable: Callable[[Scene], bool],
+) -> Scene:
+    """Draw one candidate scene; ``fixed`` overrides fields of :class:`Scene` by name.
+
+    Parameters
+    ----------
+    acceptable
+        Whether the last ball of a scene may start as it does; with several balls each is drawn
+        until it may. Without that, nearly every scene with three fast balls would be dropped.
+
+    Raises
+    ------
+    SceneParametersError
+        When a fixed field is unknown or does not fit the scene.
+    """
+    fields: dict[str, Any] = {
+        "scenario": scenario,
+        "seed": seed,
+        "textured": objects == 1,
+        "radius_m": LARGE_RADIUS_M,
+        "rotation_rad": generator.uniform(-math.pi, math.pi),
+    }
+    chosen = _validated(fixed)
+    fields |= chosen
+    if scenario == "heightfield":
+        fields |= _draw_landscape(generator) | chosen
+        draw_start = _heightfield_starts(fields, generator)
+    else:
+        fields |= _draw_bowl(scenario, generator) | chosen
+        draw_start = _bowl_starts(fields, objects, generator)
+    starts: list[Start] = []
+    for _ in range(objects):
+        starts.append(draw_start())
+        for _ in range(MAX_STARTS if objects > 1 else 0):
+            if acceptable(_with_starts(fields, starts)):
+                break
+            starts[-1] = draw_start()
+    fields["positions_m"] = [start.position_m for start in starts]
+    fields["velocities_m_s"] = [start.velocity_m_s for start in starts]
+    fields["orientations_xyzw"] = [_draw_orientation(generator) for _ in range(objects)]
+    fields |= chosen
+    scene = _scene(fields)
+    if scene.objects != objects:
+        raise SceneParametersError("positions_m", scene.positions_m, f"{objects} positions")
+    return scene
+
+
+def _validated(fixed: Mapping[str, object]) -> dict[str, Any]:
+    """Check each fixed field alone, before other draws depend on it."""
+    checked: dict[str, Any] = {}
+    for name, value in fixed.items():
+        field = Scene.model_fields.get(name)
+        if field is None:
+            known = ", ".join(Scene.model_fields)
+            raise SceneParametersError(name, value, f"one of the scene parameters {known}")
+        try:
+            kind: Any = field.annotation
+            if field.metadata:
+                kind = Annotated[kind, *field.metadata]
+            checked[name] = TypeAdapter(kind).validate_python(value)
+        except ValidationError as error:
+            first = error.errors()[0]
+            path = ".".join(str(part) for part in (name, *first["loc"]))
+            raise SceneParametersError(path, first["input"], first["msg"]) from error
+    return checked
+
+
+def _with_starts(fields: Mapping[str, Any], starts: list[Start]) -> Scene:
+    """Scene with the balls drawn so far, which are not turned yet."""
+    return _scene(
+        {
+            **fields,
+            "positions_m": [start.position_m for start in starts],
+            "velocities_m_s": [start.velocity_m_s for start in starts],
+            "orientations_xyzw": [(0, 0, 0, 1)] * len(starts),
+        }
+    )
+
+
+def _scene(fields: Mapping[str, Any]) -> Scene:
+    try:
+        return Scene.model_validate(fields)
+    except ValidationError as error:
+        first = error.errors()[0]
+        message = first["msg"].removeprefix("Value error, ")
+        # A rule over several fields begins with the name of the one that breaks it.
+        name = str(first["loc"][0]) if first["loc"] else message.split()[0]
+        raise SceneParametersError(name, fields.get(name), message) from error
+
+
+def _draw_bowl(scenario: Scenario, generator: np.random.Generator) -> dict[str, Any]:
+    ratio = generator.uniform(0.5, 1.0)
+    return {"axis_ratio": 1.0 if scenario == "hemisphere" else ratio}
+
+
+def _draw_landscape(generator: np.random.Generator) -> dict[str, Any]:
+    """Visible part of the noise plane, and a light beyond one of its corners."""
+    light_x, light_y = (generator.choice([-1, 1], 2) * generator.uniform(1, 1.5, 2)).tolist()
+    scale = generator.uniform(0.2, 0.7)
+    farthest = NOISE_PLANE_SIDE_M / 2 - math.sqrt(2) * HEIGHTFIELD_HALF_WIDTH_M
+    offset_x, offset_y = generator.uniform(-farthest, farthest, 2).tolist()
+    return {
+        "noise_scale": scale,
+        "noise_offset_m": (offset_x, offset_y),
+        "light_position_m": (light_x, light_y, LIGHT_HEIGHT_M),
+    }
+
+
+def _bowl_starts(
+    fields: Mapping[str, Any], objects: int, generator: np.random.Generator
+) -> Callable[[], Start]:
+    """Draw starts at random angles on the bowl with tangential velocities."""
+    bowl = EllipsoidalBowl(fields["axis_ratio"], fields["rotation_rad"])
+
+    def draw() -> Start:
+        polar = -generator.uniform(-9 * math.pi / 10, -math.pi / 2)
+        contact = bowl.point_at(polar, generator.uniform(-math.pi, math.pi))
+        velocity = _tangential(_draw_velocity(generator, 5, 10), contact.normal)
+        if objects > 1:
+            velocity *= generator.uniform(10, 15) / np.linalg.norm(velocity)
+        return Start(_resting_on(contact, fields["radius_m"]), _vector(velocity))
+
+    return draw
+
+
+def _heightfield_starts(
+    fields: Mapping[str, Any], generator: np.random.Generator
+) -> Callable[[], Start]:
+    """Draw starts anywhere within the walls, let down onto the ground from the camera."""
+    radius = fields["radius_m"]
+    room = HEIGHTFIELD_HALF_WIDTH_M - radius
+    surface = Heightfield(fields["noise_scale"], fields["noise_offset_m"], fields["rotation_rad"])
+
+    def draw() -> Start:
+        x, y = generator.uniform(-room, room, 2).tolist()
+        centre = (x, y, surface.resting_height(x, y, radius))
+        normal = surface.contacts(centre, radius)[0].normal
+        return Start(centre, _vector(_tangential(_draw_velocity(generator, 2, 4), normal)))
+
+    return draw
+
+
+def _draw_velocity(generator: np.random.Generator, low: float, high: float) -> np.ndarray:
+    """Horizontal velocity: each component uniform in low..high m/s with a random sign."""
+    signs = generator.choice([-1, 1], 2)
+    return np.append(signs * generator.uniform(low, high, 2), 0.0)
+
+
+def _tangential(velocity: np.ndarray, normal: Vector3) -> np.ndarray:
+    return velocity - np.dot(velocity, normal) * np.asarray(normal)
+
+
+def _resting_on(contact: Contact, radius: float) -> Vector3:
+    return _vector(np.asarray(contact.point) + radius * np.asarray(contact.normal))
+
+
+def _draw_orientation(generator: np.random.Generator) -> tuple[float, float, float, float]:
+    return pybullet.getQuaternionFromEuler(generator.uniform(-math.pi, math.pi, 3).tolist())
+
+
+def _vector(values: np.ndarray) -> Vector3:
+    x, y, z = values.tolist()
+    return x, y, z
