@@ -1,0 +1,138 @@
+"""Every call of the API as a value: the request to send, and how to read its answer.
+
+Nothing here sends anything, so a client is a transport and one line a method.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+from urllib.parse import quote
+
+import httpx2
+from pydantic import ValidationError
+
+from rollcast.client.images import Crop, Frame, encoded
+from rollcast.client.results import Forecast, Simulation
+from rollcast.errors import (
+    BusyError,
+    ProblemError,
+    RefusedError,
+    ServiceFailedError,
+    UnexpectedAnswerError,
+)
+from rollcast.http import (
+    Health,
+    ModelDetail,
+    ModelEntry,
+    ModelList,
+    PredictResponse,
+    Problem,
+    SimulateResponse,
+)
+from rollcast.scene import Scenario, Scene
+
+T = TypeVar("T")
+
+Part = tuple[str, tuple[str, bytes]]
+
+
+@dataclass(frozen=True)
+class Call(Generic[T]):
+    """One request and the reader of its answer."""
+
+    method: str
+    path: str
+    read: Callable[[bytes], T]
+    json: Mapping[str, Any] | None = None
+    fields: Mapping[str, str] | None = None
+    files: Sequence[Part] | None = None
+    answers: tuple[int, ...] = (200,)
+    """Statuses whose body ``read`` understands."""
+
+    def request(self, client: httpx2.Client | httpx2.AsyncClient) -> httpx2.Request:
+        """Return the request for a client's base address."""
+        return client.build_request(
+            self.method, self.path, json=self.json, data=self.fields, files=self.files
+        )
+
+    def result(self, response: httpx2.Response) -> T:
+        """Read the answer.
+
+        Raises
+        ------
+        ProblemError
+            When it is a problem document.
+        UnexpectedAnswerError
+            When it is not an answer of this API.
+        """
+        try:
+            if response.status_code in self.answers:
+                return self.read(response.content)
+            problem = Problem.model_validate_json(response.content)
+        except ValidationError as error:
+            raise UnexpectedAnswerError(
+                f"{response.url} answered {response.status_code} with a body that is not this API's"
+            ) from error
+        raise _problem_error(problem, response)
+
+
+def _problem_error(problem: Problem, response: httpx2.Response) -> ProblemError:
+    if problem.status == 429:
+        return BusyError(problem, float(response.headers.get("retry-after", "1")))
+    return ServiceFailedError(problem) if problem.status >= 500 else RefusedError(problem)
+
+
+def predict(
+    frames: Sequence[Frame],
+    final_frame: Frame | None,
+    crop: Crop | None,
+    fields: Mapping[str, object],
+) -> Call[Forecast]:
+    """Send frames as file parts; fields that are None are left to the service."""
+    files: list[Part] = [
+        ("frames", (f"frame{index}", encoded(frame, crop))) for index, frame in enumerate(frames)
+    ]
+    if final_frame is not None:
+        files.append(("final_frame", ("final_frame", encoded(final_frame, crop))))
+    return Call(
+        "POST",
+        "/predict",
+        lambda body: Forecast.from_response(PredictResponse.model_validate_json(body)),
+        fields={name: str(value) for name, value in fields.items() if value is not None},
+        files=files,
+    )
+
+
+def simulate(
+    scenario: Scenario | None,
+    seed: int | None,
+    scene: Scene | Mapping[str, Any] | None,
+    fields: Mapping[str, object],
+) -> Call[Simulation]:
+    """Ask for a scene; what is None is left to the service."""
+    parameters = scene.model_dump(mode="json") if isinstance(scene, Scene) else scene
+    body = {"scenario": scenario, "seed": seed, "scene": parameters, **fields}
+    return Call(
+        "POST",
+        "/simulate",
+        lambda body: Simulation.from_response(SimulateResponse.model_validate_json(body)),
+        json={name: value for name, value in body.items() if value is not None},
+    )
+
+
+def models() -> Call[list[ModelEntry]]:
+    """List every version of every model."""
+    return Call("GET", "/models", lambda body: ModelList.model_validate_json(body).models)
+
+
+def model(name: str, version: int | None) -> Call[ModelDetail]:
+    """Return one version of a model, by default the default one, with its card."""
+    path = f"/models/{quote(name, safe='')}"
+    if version is not None:
+        path += f"/versions/{version}"
+    return Call("GET", path, ModelDetail.model_validate_json)
+
+
+def health() -> Call[Health]:
+    """Ask whether forecasts are answered."""
+    return Call("GET", "/health/ready", Health.model_validate_json, answers=(200, 503))

@@ -1,0 +1,211 @@
+"""The manifest of a deployed artefact ``models/NAME/VERSION/``: the service learns everything here.
+
+Pixels are those of 128 x 128 frames, angular velocities rad/s, steps are counted from t = 0, the
+last observed frame. The artefact's files and graphs are described in ``docs/decisions``.
+"""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
+
+from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.scene import MAX_OBJECTS, Scenario
+from rollcast.trajectory import OBSERVED_FRAMES
+
+ENCODER_FILE = "encoder.onnx"
+STEP_FILE = "step.onnx"
+MANIFEST_FILE = "manifest.json"
+CARD_FILE = "MODEL_CARD.md"
+GOLDEN_FILE = "golden.npz"
+HASHED_FILES = (ENCODER_FILE, STEP_FILE, CARD_FILE, GOLDEN_FILE)
+
+FRAMES_INPUT = "frames"
+"""Name of the encoder's input, uint8 [B, frames, 128, 128, 3], and of the golden frames."""
+NEXT_PREFIX = "next_"
+"""The step graph reads the state as NAME and returns it as next_NAME."""
+
+OutputName = Literal["positions", "covariances", "angular_velocities", "final_positions"]
+
+OUTPUT_SHAPES: dict[OutputName, tuple[int, ...]] = {
+    "positions": (2,),
+    "covariances": (2, 2),
+    "angular_velocities": (3,),
+    "final_positions": (2,),
+}
+"""Shape of each output behind [B, N]; all are float32."""
+
+Matrix2 = tuple[tuple[float, float], tuple[float, float]]
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class StateTensor(_Part):
+    """One tensor of the recurrent state."""
+
+    name: Annotated[str, Field(min_length=1)]
+    shape: tuple[int, ...]
+    """Without the batch axis."""
+    dtype: Literal["float32"] = "float32"
+
+
+class Output(_Part):
+    """One output of the graphs, float32."""
+
+    name: OutputName
+    shape: tuple[int, ...]
+    """Without the batch axis: [objects, ...]."""
+    unit: str
+
+
+class CovarianceSource(_Part):
+    """Where the forecast's covariances come from (px^2)."""
+
+    source: Literal["predicted", "empirical"]
+    """``predicted``: an output of the network. ``empirical``: residuals on validation data."""
+    variance_scale: tuple[Positive, ...] | None = None
+    """Predicted: factor on the covariance of each step, the last one held beyond."""
+    empirical: tuple[Matrix2, ...] | None = None
+    """Empirical: covariance of the residuals at each step, the last one held beyond."""
+
+    @model_validator(mode="after")
+    def _source_and_values_agree(self) -> "CovarianceSource":
+        if (self.source == "empirical") != bool(self.empirical):
+            raise ValueError(
+                "empirical covariances belong to the source 'empirical', and only there"
+            )
+        if self.variance_scale is not None and self.source != "predicted":
+            raise ValueError("variance_scale belongs to the source 'predicted'")
+        return self
+
+
+class MetricRow(_Part):
+    """Accuracy on one split of one scenario up to one horizon."""
+
+    split: Literal["validation", "test"]
+    scenario: Scenario
+    horizon: Annotated[int, Field(ge=1)]
+    """The error is that of step ``horizon - 1``."""
+    sequences: Annotated[int, Field(ge=1)]
+    position_error_px: float
+    """Mean distance between forecast and truth."""
+    standard_error_px: float | None = None
+    angular_velocity_rmse: float | None = None
+    """rad/s."""
+    perplexity: float | None = None
+    """Mean negative log likelihood, nats."""
+    coverage_50: float | None = None
+    """Share of truths inside the 50 % ellipse."""
+    coverage_95: float | None = None
+    stays_put_px: float | None = None
+    """Error of the baseline that stays at the true position of t = 0, same scenes."""
+    line_px: float | None = None
+    """Error of a line through the first 10 true positions, same scenes."""
+
+
+class Parity(_Part):
+    """Proof that the exported graphs compute what torch computes."""
+
+    max_abs_error: dict[OutputName, float]
+    """Over batch sizes and horizons, in each output's own unit."""
+    tolerance: dict[OutputName, float]
+
+
+class Manifest(_Part):
+    """Everything there is to know about one version of one model."""
+
+    format_version: Literal[1]
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,63}$")]
+    version: Annotated[int, Field(ge=1)]
+    default: bool
+    """A bare NAME means the version that is marked as default."""
+    variant: Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
+    preset: str
+    scenarios: Annotated[tuple[Scenario, ...], Field(min_length=1)]
+    objects: Annotated[int, Field(ge=1, le=MAX_OBJECTS)]
+    observed_frames: Literal[4]
+    frames: Literal[4, 5]
+    """Frames that the encoder reads: the observed ones and, with 5, the final one."""
+    final_step: Annotated[int, Field(ge=1)] | None = None
+    """Step that the final frame shows; None with 4 frames."""
+    frame_rate_hz: Positive
+    frame_size: Literal[128]
+    trained_horizon: Annotated[int, Field(ge=1)]
+    state: Annotated[tuple[StateTensor, ...], Field(min_length=1)]
+    outputs: Annotated[tuple[Output, ...], Field(min_length=1)]
+    covariance: CovarianceSource
+    angular_velocity: bool
+    training: dict[str, JsonValue]
+    """Data seed and sizes, sequences seen, configuration: free form, for people."""
+    metrics: tuple[MetricRow, ...]
+    validation_error_px: Annotated[float, Field(ge=0)]
+    """Mean position error at the trained horizon over all scenarios, validation split: "auto"
+    compares this number alone."""
+    parity: Parity
+    golden_tolerance: dict[OutputName, Positive]
+    """Largest absolute difference from golden.npz at which the model is served."""
+    files: dict[str, Sha256]
+    licence: str
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> "Manifest":
+        shapes: dict[OutputName, tuple[int, ...]] = {
+            output.name: output.shape for output in self.outputs
+        }
+        wanted: set[OutputName] = {"positions"}
+        wanted |= {"covariances"} if self.covariance.source == "predicted" else set()
+        wanted |= {"angular_velocities"} if self.angular_velocity else set()
+        wanted |= {"final_positions"} if self.final_step is not None else set()
+        if set(shapes) != wanted or len(self.outputs) != len(wanted):
+            raise ValueError(f"outputs are {sorted(shapes)}, expected {sorted(wanted)}")
+        for name, shape in shapes.items():
+            if shape != (self.objects, *OUTPUT_SHAPES[name]):
+                raise ValueError(f"output {name} has shape {shape} for {self.objects} objects")
+        if (self.final_step is not None) != (self.frames == OBSERVED_FRAMES + 1):
+            raise ValueError(f"final_step is {self.final_step} with {self.frames} frames")
+        if set(self.files) != set(HASHED_FILES):
+            raise ValueError(f"files are {sorted(self.files)}, expected {sorted(HASHED_FILES)}")
+        if set(self.golden_tolerance) != wanted:
+            raise ValueError(f"golden_tolerance names {sorted(self.golden_tolerance)}")
+        return self
+
+    @property
+    def label(self) -> str:
+        """NAME@VERSION."""
+        return f"{self.name}@{self.version}"
+
+    @property
+    def output_names(self) -> tuple[OutputName, ...]:
+        """Names of the encoder's outputs, in the manifest's order."""
+        return tuple(output.name for output in self.outputs)
+
+    @property
+    def step_output_names(self) -> tuple[OutputName, ...]:
+        """Names of the step graph's outputs: the final position is the encoder's alone."""
+        return tuple(name for name in self.output_names if name != "final_positions")
+
+    @property
+    def frames_shape(self) -> tuple[int, int, int, int]:
+        """Shape of the encoder's input without the batch axis."""
+        return (self.frames, NETWORK_FRAME_SIZE, NETWORK_FRAME_SIZE, 3)
+
+    @classmethod
+    def read(cls, path: Path) -> "Manifest":
+        """Read a manifest file.
+
+        Raises
+        ------
+        OSError
+            When the file cannot be read.
+        pydantic.ValidationError
+            When it is not a manifest; the error names every field that is wrong.
+        """
+        return cls.model_validate_json(path.read_bytes())
+
+    def write(self, path: Path) -> None:
+        """Write the manifest as indented JSON, so that versions can be compared line by line."""
+        path.write_text(self.model_dump_json(indent=2) + "\n", encoding="utf-8")

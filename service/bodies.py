@@ -1,0 +1,169 @@
+"""From the bytes of a request to its validated body; nothing is read beyond the limit."""
+
+import json
+from collections.abc import AsyncIterator, Sequence
+from typing import Any, NoReturn, TypeVar
+
+from fastapi import Request
+from pydantic import BaseModel, ValidationError
+from starlette.datastructures import UploadFile
+from starlette.formparsers import MultiPartException, MultiPartParser
+from starlette.requests import ClientDisconnect
+
+from service.errors import (
+    BodyTooLargeError,
+    InvalidValueError,
+    MalformedBodyError,
+    ServiceError,
+    UnsupportedMediaTypeError,
+)
+from service.problems import invalid_values
+
+JSON = "application/json"
+MULTIPART = "multipart/form-data"
+MAX_PARTS = 32
+MAX_TEXT_PART_BYTES = 4096
+
+B = TypeVar("B", bound=BaseModel)
+
+
+def media_type(request: Request, accepted: Sequence[str]) -> str:
+    """Return the request's content type without its parameters.
+
+    Raises
+    ------
+    UnsupportedMediaTypeError
+        When it is not one of those accepted.
+    """
+    given = request.headers.get("content-type", "")
+    kind = given.partition(";")[0].strip().lower()
+    if kind not in accepted:
+        raise UnsupportedMediaTypeError.at("content-type", given, " or ".join(accepted))
+    return kind
+
+
+async def read_body(request: Request) -> bytes:
+    """Read the whole body.
+
+    Raises
+    ------
+    BodyTooLargeError
+        As soon as the limit of the settings is passed, or at once when the header announces it.
+    """
+    return b"".join([chunk async for chunk in _limited(request)])
+
+
+async def _limited(request: Request) -> AsyncIterator[bytes]:
+    limit = request.app.state.service.settings.max_body_bytes
+    announced = request.headers.get("content-length", "0")
+    if announced.isdecimal() and int(announced) > limit:
+        raise _too_large(limit, int(announced))
+    size = 0
+    try:
+        async for chunk in request.stream():
+            size += len(chunk)
+            if size > limit:
+                raise _too_large(limit, f"more than {limit}")
+            yield chunk
+    except ClientDisconnect as error:
+        raise MalformedBodyError("The client went away before the body ended.") from error
+
+
+def _too_large(limit: int, size: object) -> ServiceError:
+    return BodyTooLargeError.at("body", size, f"at most {limit} bytes")
+
+
+def parse_json(body: bytes, model: type[B]) -> B:
+    """Parse and validate a JSON body.
+
+    Raises
+    ------
+    MalformedBodyError
+        When it is not JSON as RFC 8259 has it: NaN, a name given twice, a lone surrogate.
+    InvalidValueError
+        When a value is wrong; every wrong value is named.
+    """
+    try:
+        data = json.loads(
+            body.decode("utf-8"), object_pairs_hook=_object, parse_constant=_refuse_constant
+        )
+    except UnicodeDecodeError as error:
+        raise MalformedBodyError(f"The body is not UTF-8 at byte {error.start}.") from error
+    except RecursionError as error:
+        raise MalformedBodyError("The body is nested too deeply.") from error
+    except ValueError as error:
+        raise MalformedBodyError(f"The body is not JSON: {error}.") from error
+    return _validate(model, data, strict=None)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    members = dict(pairs)
+    if len(members) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise MalformedBodyError.at("body", twice, "every name once in an object")
+    for text in (text for pair in pairs for text in pair if isinstance(text, str)):
+        if not text.isascii():
+            _refuse_surrogates(text)
+    return members
+
+
+def _refuse_surrogates(text: str) -> None:
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise MalformedBodyError.at("body", text, "Unicode text, no lone surrogates") from error
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise MalformedBodyError.at("body", name, "a number: JSON has no such value")
+
+
+async def read_form(request: Request, model: type[B], lists: frozenset[str]) -> B:
+    """Read and validate a multipart body; text parts become numbers where a number is due.
+
+    Parameters
+    ----------
+    request
+        The request.
+    model
+        Its body.
+    lists
+        Names of the parts that may come several times.
+
+    Raises
+    ------
+    BodyTooLargeError, MalformedBodyError, InvalidValueError
+        As for JSON.
+    """
+    parser = MultiPartParser(
+        request.headers,
+        _limited(request),  # pyright: ignore[reportArgumentType] - it only iterates
+        max_files=MAX_PARTS,
+        max_fields=MAX_PARTS,
+        max_part_size=MAX_TEXT_PART_BYTES,
+    )
+    try:
+        form = await parser.parse()
+    except MultiPartException as error:
+        raise MalformedBodyError(f"The body is not multipart: {error.message}") from error
+    data: dict[str, Any] = {}
+    try:
+        for name, part in form.multi_items():
+            value = await part.read() if isinstance(part, UploadFile) else part
+            if name in lists:
+                data.setdefault(name, []).append(value)
+            elif name in data:
+                raise InvalidValueError.at(name, value, "one part of this name")
+            else:
+                data[name] = value
+    finally:
+        await form.close()
+    return _validate(model, data, strict=False)
+
+
+def _validate(model: type[B], data: object, *, strict: bool | None) -> B:
+    try:
+        return model.model_validate(data, strict=strict)
+    except ValidationError as error:
+        raise invalid_values(error.errors(include_url=False)) from error

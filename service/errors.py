@@ -1,0 +1,138 @@
+"""Every refusal of the service, with the status and the stable type that a client sees.
+
+* ServiceError
+  x MalformedBodyError         400  the body cannot be parsed
+  x UnknownModelError          404
+  x BodyTooLargeError          413
+  x UnsupportedMediaTypeError  415  neither JSON nor multipart
+  x NotAnImageError            415  neither PNG nor JPEG nor WebP
+  x BrokenImageError           422  the header is fine, the pixels are not
+  x InvalidValueError          422  one or several values are wrong
+  x NoSuitableModelError       422  "auto" finds no model for the request
+  x SceneRejectedProblem       422  the rejection rules dropped every scene
+  x DivergedError              422  the forecast leaves every bound before its horizon
+  x QueueFullError             429
+  x ModelUnavailableError      503  the model exists and is not served
+  x NotReadyError              503  no model is served, yet or any more
+
+``service/problems.py`` turns them into problem documents (RFC 9457).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from rollcast.errors import RollcastError
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One thing that is wrong with a request: where, what was given, what would be right."""
+
+    field: str
+    value: object
+    expected: str
+
+
+class ServiceError(RollcastError):
+    """Root of the service's refusals.
+
+    Parameters
+    ----------
+    detail
+        What happened, in a sentence.
+    mistakes
+        The values at fault, if there are any.
+    """
+
+    status: ClassVar[int]
+    slug: ClassVar[str]
+    title: ClassVar[str]
+
+    def __init__(self, detail: str, mistakes: Sequence[Mistake] = ()) -> None:
+        super().__init__(detail, mistakes)
+        self.detail = detail
+        self.mistakes = tuple(mistakes)
+
+    @classmethod
+    def at(cls, field: str, value: object, expected: str) -> "ServiceError":
+        """Return the refusal of one value of one field."""
+        return cls(f"{field}: expected {expected}", [Mistake(field, value, expected)])
+
+
+class MalformedBodyError(ServiceError):
+    """The body is not what its content type says."""
+
+    status, slug, title = 400, "malformed-body", "The body cannot be read"
+
+
+class UnknownModelError(ServiceError):
+    """No model has that name or version."""
+
+    status, slug, title = 404, "unknown-model", "There is no such model"
+
+
+class BodyTooLargeError(ServiceError):
+    """The body is larger than the service reads."""
+
+    status, slug, title = 413, "body-too-large", "The body is too large"
+
+
+class UnsupportedMediaTypeError(ServiceError):
+    """The body's content type is not one that the route reads."""
+
+    status, slug, title = 415, "unsupported-media-type", "The content type is not supported"
+
+
+class NotAnImageError(ServiceError):
+    """A frame is neither PNG nor JPEG nor WebP."""
+
+    status, slug, title = 415, "not-an-image", "A frame is not an image"
+
+
+class BrokenImageError(ServiceError):
+    """A frame starts like an image and cannot be decoded."""
+
+    status, slug, title = 422, "broken-image", "A frame cannot be decoded"
+
+
+class InvalidValueError(ServiceError):
+    """One or several values are wrong."""
+
+    status, slug, title = 422, "invalid-value", "A value is not acceptable"
+
+
+class NoSuitableModelError(ServiceError):
+    """No model is served that "auto" might take for the request."""
+
+    status, slug, title = 422, "no-suitable-model", "No model fits the request"
+
+
+class SceneRejectedProblem(ServiceError):  # noqa: N818 - SceneRejectedError is the simulator's
+    """No acceptable scene comes out of the seed and the parameters."""
+
+    status, slug, title = 422, "scene-rejected", "No acceptable scene can be drawn"
+
+
+class DivergedError(ServiceError):
+    """The network's numbers leave every bound before the horizon."""
+
+    status, slug, title = 422, "forecast-diverged", "The forecast diverges"
+
+
+class QueueFullError(ServiceError):
+    """More requests wait than the service is set to hold."""
+
+    status, slug, title = 429, "queue-full", "The queue is full"
+
+
+class ModelUnavailableError(ServiceError):
+    """The model exists and is not served."""
+
+    status, slug, title = 503, "model-unavailable", "The model is not served"
+
+
+class NotReadyError(ServiceError):
+    """The service loads, drains, or has no usable model."""
+
+    status, slug, title = 503, "not-ready", "The service is not ready"

@@ -1,0 +1,104 @@
+"""From a folder of artefacts to a registry. What cannot prove itself is refused, not served."""
+
+import hashlib
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from rollcast.manifest import (
+    CARD_FILE,
+    FRAMES_INPUT,
+    GOLDEN_FILE,
+    MANIFEST_FILE,
+    Manifest,
+)
+from service.registry import Model, Registry
+from service.rollout import Predictor, stacked, steps_after
+from service.runtime import OnnxPredictor
+
+PredictorFactory = Callable[[Path, Manifest], Predictor]
+
+log = logging.getLogger(__name__)
+
+
+class ArtefactError(Exception):
+    """An artefact must not be served; the message says why."""
+
+
+def load_registry(models_dir: Path, open_predictor: PredictorFactory = OnnxPredictor) -> Registry:
+    """Load every ``NAME/VERSION`` under a folder; one that is refused does not stop the others.
+
+    Parameters
+    ----------
+    models_dir
+        Folder of the artefacts.
+    open_predictor
+        Opens the graphs of one artefact.
+    """
+    folders = sorted(path for path in models_dir.glob("*/*") if path.name.isdecimal())
+    return Registry([_load(folder, open_predictor) for folder in folders])
+
+
+def _load(folder: Path, open_predictor: PredictorFactory) -> Model:
+    name, version = folder.parent.name, int(folder.name)
+    manifest = card = None
+    try:
+        manifest = _read_manifest(folder)
+        _check_hashes(folder, manifest)
+        card = (folder / CARD_FILE).read_text(encoding="utf-8")
+        predictor = open_predictor(folder, manifest)
+        _check_golden(predictor, folder / GOLDEN_FILE)
+    except Exception as error:  # whatever a damaged file makes a library raise, the rest is served
+        reason = str(error) if isinstance(error, ArtefactError) else f"cannot be loaded: {error}"
+        log.warning("%s@%s is refused: %s", name, version, reason)
+        return Model(name, version, manifest, reason=reason, card=card)
+    return Model(name, version, manifest, predictor, card=card)
+
+
+def _read_manifest(folder: Path) -> Manifest:
+    try:
+        manifest = Manifest.read(folder / MANIFEST_FILE)
+    except FileNotFoundError as error:
+        raise ArtefactError(f"{MANIFEST_FILE} is missing") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise ArtefactError(f"{MANIFEST_FILE} is not valid: {place}: {first['msg']}") from error
+    if (manifest.name, str(manifest.version)) != (folder.parent.name, folder.name):
+        raise ArtefactError(f"{MANIFEST_FILE} is that of {manifest.label}")
+    return manifest
+
+
+def _check_hashes(folder: Path, manifest: Manifest) -> None:
+    for name, digest in manifest.files.items():
+        try:
+            data = (folder / name).read_bytes()
+        except FileNotFoundError as error:
+            raise ArtefactError(f"{name} is missing") from error
+        if hashlib.sha256(data).hexdigest() != digest:
+            raise ArtefactError(f"{name} is not the file that the manifest names: sha256 differs")
+
+
+def _check_golden(predictor: Predictor, path: Path) -> None:
+    """Compare what the graphs compute with what torch computed."""
+    manifest = predictor.manifest
+    with np.load(path) as golden:
+        frames = golden[FRAMES_INPUT]
+        if frames.dtype != np.uint8 or frames.shape[1:] != manifest.frames_shape:
+            raise ArtefactError(f"{path.name}: frames are {frames.dtype} {frames.shape}")
+        horizon = golden["positions"].shape[2]
+        outputs = stacked(steps_after(predictor, predictor.encode(frames), horizon))
+        for name, tolerance in manifest.golden_tolerance.items():
+            if outputs[name].shape != golden[name].shape:
+                raise ArtefactError(
+                    f"{name} has the shape {outputs[name].shape}, golden {golden[name].shape}"
+                )
+            difference = float(np.abs(outputs[name] - golden[name]).max())
+            if not difference <= tolerance:
+                raise ArtefactError(
+                    f"{name} differs by {difference:.3g} from the golden values, "
+                    f"at most {tolerance:g} is allowed"
+                )

@@ -1,0 +1,49 @@
+"""What FastAPI cannot see by itself: bodies that the routes read on their own, and refusals."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from pydantic import BaseModel
+from pydantic.json_schema import models_json_schema
+
+from rollcast.http import PredictRequest, Problem, SimulateRequest
+from service.problems import MEDIA_TYPE
+
+REFERENCE = "#/components/schemas/{model}"
+BODIES: Sequence[type[BaseModel]] = (PredictRequest, SimulateRequest, Problem)
+
+
+def body_of(model: type[BaseModel], *media_types: str) -> dict[str, Any]:
+    """Describe the body of a route."""
+    schema = {"$ref": REFERENCE.format(model=model.__name__)}
+    content = {media_type: {"schema": schema} for media_type in media_types}
+    return {"requestBody": {"required": True, "content": content}}
+
+
+def problems_of(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Describe the refusals of a route."""
+    content = {MEDIA_TYPE: {"schema": {"$ref": REFERENCE.format(model=Problem.__name__)}}}
+    return {status: {"description": "Problem document", "content": content} for status in statuses}
+
+
+def install_openapi(app: FastAPI) -> None:
+    """Make the app describe itself with the bodies above."""
+
+    def describe() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            schema = get_openapi(
+                title=app.title,
+                version=app.version,
+                description=app.description,
+                routes=app.routes,
+            )
+            _, bodies = models_json_schema(
+                [(model, "validation") for model in BODIES], ref_template=REFERENCE
+            )
+            schema["components"]["schemas"] |= bodies["$defs"]
+            app.openapi_schema = schema
+        return app.openapi_schema
+
+    app.openapi = describe

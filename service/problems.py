@@ -1,0 +1,159 @@
+"""Every exception becomes a problem document (RFC 9457) here, and nowhere else."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any, cast
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import Response
+from pydantic import JsonValue
+from starlette.exceptions import HTTPException
+
+from rollcast.http import Fault, Problem
+from service.errors import (
+    InvalidValueError,
+    Mistake,
+    ModelUnavailableError,
+    NotReadyError,
+    QueueFullError,
+    ServiceError,
+)
+
+MEDIA_TYPE = "application/problem+json"
+LONGEST_VALUE = 100
+"""Characters of a wrong value that are sent back."""
+LONGEST_DETAIL = 600
+
+
+def install_problem_handlers(app: FastAPI) -> None:
+    """Make the app answer every refusal and every failure with a problem document."""
+    for kind in (ServiceError, RequestValidationError, HTTPException, Exception):
+        app.add_exception_handler(kind, _answer)
+
+
+def invalid_values(errors: Sequence[Any]) -> ServiceError:
+    """Translate pydantic's list of errors, in which a model's own check names its field."""
+    mistakes = [_mistake(error) for error in errors]
+    if len(mistakes) == 1:
+        return InvalidValueError.at(mistakes[0].field, mistakes[0].value, mistakes[0].expected)
+    fields = ", ".join(mistake.field for mistake in mistakes)
+    return InvalidValueError(f"{len(mistakes)} values are not acceptable: {fields}", mistakes)
+
+
+def in_plain_words(message: str) -> str:
+    """Drop what pydantic puts before a reason."""
+    return message.removeprefix("Input should be ").removeprefix("Value error, ")
+
+
+def _mistake(error: Mapping[str, Any]) -> Mistake:
+    context: dict[str, Any] = error.get("ctx", {})
+    if "field" in context:
+        return Mistake(context["field"], context["value"], context["expected"])
+    expected = {
+        "missing": "a value, the field is required",
+        "extra_forbidden": "no such field",
+        "too_short": f"{context.get('min_length')} items",
+        "too_long": f"{context.get('max_length')} items",
+        "model_type": "an object",
+    }.get(error["type"], in_plain_words(error["msg"]))
+    value = None if error["type"] == "missing" else error["input"]
+    return Mistake(_path(error["loc"]), value, expected)
+
+
+def _path(location: Sequence[int | str]) -> str:
+    """Write ``("frames", 2)`` as ``frames[2]`` and ``("scene", "seed")`` as ``scene.seed``."""
+    parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in location]
+    return "".join(parts).removeprefix(".") or "body"
+
+
+def _answer(request: Request, error: Exception) -> Response:
+    headers: dict[str, str] = {}
+    match error:
+        case ServiceError():
+            problem = _refusal(error)
+            if isinstance(error, QueueFullError | NotReadyError | ModelUnavailableError):
+                headers["Retry-After"] = str(request.app.state.service.settings.retry_after_s)
+        case RequestValidationError():
+            parameters = [fault | {"loc": fault["loc"][1:]} for fault in error.errors()]
+            problem = _refusal(invalid_values(parameters))
+        case HTTPException():
+            problem = _http_problem(request, error)
+            headers.update(error.headers or {})
+        case _:
+            problem = Problem(
+                type="/problems/internal-error",
+                title="The service failed",
+                status=500,
+                detail="The fault is the service's; its log has the reason.",
+            )
+    return Response(
+        json.dumps(_members(problem)), problem.status, headers=headers, media_type=MEDIA_TYPE
+    )
+
+
+def _refusal(error: ServiceError) -> Problem:
+    faults = [
+        Fault(
+            field=_shorten(mistake.field),
+            value=_presentable(mistake.value),
+            expected=_shorten(mistake.expected, LONGEST_DETAIL),
+        )
+        for mistake in error.mistakes
+    ]
+    first = faults[0] if faults else Fault()
+    return Problem(
+        type=f"/problems/{error.slug}",
+        title=error.title,
+        status=error.status,
+        detail=_shorten(error.detail, LONGEST_DETAIL),
+        **dict(first),
+        errors=faults if len(faults) > 1 else None,
+    )
+
+
+def _http_problem(request: Request, error: HTTPException) -> Problem:
+    phrase = HTTPStatus(error.status_code).phrase
+    return Problem(
+        type=f"/problems/{phrase.lower().replace(' ', '-')}",
+        title=phrase,
+        status=error.status_code,
+        detail=f"{request.method} {_shorten(request.url.path)}: {error.detail}",
+    )
+
+
+def _members(problem: Problem) -> dict[str, JsonValue]:
+    """Leave out the members that do not apply; a value may well be null."""
+    members = problem.model_dump(exclude={"errors"} if problem.errors is None else None)
+    if problem.field is None:
+        del members["field"], members["value"], members["expected"]
+    return members
+
+
+def _presentable(value: object) -> JsonValue:
+    """Shorten a value and make it safe for JSON: no surrogates, no infinities, no megabytes."""
+    match value:
+        case None | bool():
+            return value
+        case int() if abs(value) < 2**53:
+            return value
+        case float() if math.isfinite(value):
+            return value
+        case bytes():
+            return f"{len(value)} bytes"
+        case list() | tuple():
+            items = cast("Sequence[object]", value)
+            short = len(items) <= 4 and all(isinstance(item, int | float) for item in items)
+            return [_presentable(item) for item in items] if short else f"{len(items)} items"
+        case dict():
+            return f"an object of {len(cast('dict[str, object]', value))} fields"
+        case _:
+            return _shorten(str(value))
+
+
+def _shorten(text: str, longest: int = LONGEST_VALUE) -> str:
+    shown = text[:longest].encode("utf-8", "backslashreplace").decode("utf-8")
+    rest = len(text) - longest
+    return f"{shown}... ({rest} more characters)" if rest > 0 else shown

@@ -1,0 +1,172 @@
+"""The models that are there: chosen by name or by "auto"."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from rollcast.http import AUTO_MODEL
+from rollcast.manifest import Manifest
+from rollcast.scene import Scenario
+from service.errors import (
+    InvalidValueError,
+    ModelUnavailableError,
+    NoSuitableModelError,
+    NotReadyError,
+    UnknownModelError,
+)
+from service.rollout import Predictor
+
+
+@dataclass(frozen=True)
+class Model:
+    """One version of one model: served when it has a predictor, else refused with a reason."""
+
+    name: str
+    version: int
+    manifest: Manifest | None = None
+    predictor: Predictor | None = None
+    reason: str | None = None
+    card: str | None = None
+
+    @property
+    def label(self) -> str:
+        """NAME@VERSION."""
+        return f"{self.name}@{self.version}"
+
+    @property
+    def is_default(self) -> bool:
+        """Whether a bare NAME means this version."""
+        return self.manifest is not None and self.manifest.default
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What a request asks of a model."""
+
+    model: str = AUTO_MODEL
+    objects: int | None = None
+    scenario: Scenario | None = None
+    final_frame: bool = False
+
+
+class Registry:
+    """Every version of every model, in the order of their names.
+
+    Parameters
+    ----------
+    models
+        Served and refused ones.
+    """
+
+    def __init__(self, models: Sequence[Model]) -> None:
+        self.models = tuple(sorted(models, key=lambda model: (model.name, model.version)))
+
+    @property
+    def served(self) -> list[Predictor]:
+        """The predictors of all models that are ready."""
+        return [model.predictor for model in self.models if model.predictor is not None]
+
+    def versions(self, name: str) -> list[Model]:
+        """Return every version of a name.
+
+        Raises
+        ------
+        UnknownModelError
+            When there is none.
+        """
+        found = [model for model in self.models if model.name == name]
+        if not found:
+            raise UnknownModelError.at("model", name, self._labels())
+        return found
+
+    def get(self, name: str, version: int | None = None) -> Model:
+        """Return one version of a name, by default the one that its manifest marks as default.
+
+        Raises
+        ------
+        UnknownModelError
+            When there is no such name or version, or no version is the default.
+        """
+        versions = self.versions(name)
+        wanted = [
+            m for m in versions if (m.is_default if version is None else m.version == version)
+        ]
+        if not wanted:
+            asked = name if version is None else f"{name}@{version}"
+            raise UnknownModelError.at("model", asked, _one_of(model.label for model in versions))
+        return wanted[-1]
+
+    def choose(self, wish: Wish) -> Predictor:
+        """Return the predictor for a request.
+
+        Raises
+        ------
+        UnknownModelError, ModelUnavailableError, InvalidValueError
+            When a named model is not there, not served or made for something else.
+        NoSuitableModelError
+            When "auto" finds none.
+        NotReadyError
+            When no model is served at all.
+        """
+        if not self.served:
+            raise NotReadyError("No usable model is loaded.")
+        if wish.model == AUTO_MODEL:
+            return self._choose_best(wish)
+        name, separator, version = wish.model.partition("@")
+        if separator and not (version.isascii() and version.isdigit()):
+            raise UnknownModelError.at("model", wish.model, "NAME or NAME@VERSION, a whole number")
+        model = self.get(name, int(version) if separator else None)
+        if model.predictor is None:
+            raise ModelUnavailableError(f"{model.label} is refused: {model.reason}")
+        _check_fit(model.predictor.manifest, wish)
+        return model.predictor
+
+    def _choose_best(self, wish: Wish) -> Predictor:
+        """Apply the design's rule for "auto" to the default versions."""
+        objects = wish.objects or 1
+        peers = [
+            predictor
+            for predictor in self.served
+            if predictor.manifest.default and predictor.manifest.objects == objects
+        ]
+        if wish.scenario is None:
+            scenarios = {scenario for peer in peers for scenario in peer.manifest.scenarios}
+        else:
+            scenarios = {wish.scenario}
+        suitable = [
+            peer
+            for peer in peers
+            if scenarios <= set(peer.manifest.scenarios)
+            and (peer.manifest.final_step is not None) == wish.final_frame
+            and (wish.final_frame or peer.manifest.covariance.source == "predicted")
+        ]
+        if not suitable:
+            kind = "reads a final frame" if wish.final_frame else "predicts a covariance"
+            raise NoSuitableModelError.at(
+                "model",
+                AUTO_MODEL,
+                f"a model's name: none for objects {objects} and scenario "
+                f"{wish.scenario or 'unknown'} {kind}; served are {self._labels()}",
+            )
+        return min(suitable, key=lambda predictor: predictor.manifest.validation_error_px)
+
+    def _labels(self) -> str:
+        return _one_of(model.label for model in self.models)
+
+
+def _one_of(labels: Iterable[str]) -> str:
+    return "one of " + ", ".join(labels)
+
+
+def _check_fit(manifest: Manifest, wish: Wish) -> None:
+    if wish.objects not in (None, manifest.objects):
+        expected = f"{manifest.objects}, the number of balls of {manifest.label}"
+        raise InvalidValueError.at("objects", wish.objects, expected)
+    if wish.scenario is not None and wish.scenario not in manifest.scenarios:
+        expected = f"{' or '.join(manifest.scenarios)}, which {manifest.label} is made for"
+        raise InvalidValueError.at("scenario", wish.scenario, expected)
+    if wish.final_frame and manifest.final_step is None:
+        expected = f"none: {manifest.label} reads the observed frames alone"
+        raise InvalidValueError.at("final_frame", "an image", expected)
+    if not wish.final_frame and manifest.final_step is not None:
+        expected = f"an image of step {manifest.final_step}, which {manifest.label} needs"
+        raise InvalidValueError.at("final_frame", None, expected)

@@ -1,0 +1,1 @@
+"""Routes, one module a feature. What they need stands in the app's state."""

@@ -1,0 +1,158 @@
+"""Simulations: one process of its own holds the simulator, and is replaced now and then.
+
+PyBullet leaks with every shape and client, holds the processor for long and is not safe in
+threads, so it never lives in the process that serves.
+"""
+
+import base64
+import functools
+import io
+import multiprocessing
+import multiprocessing.connection
+import os
+import signal
+import threading
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from rollcast.camera import camera_for
+from rollcast.http import SimulatedObject, SimulateRequest, SimulateResponse
+from rollcast.scene import COLORS
+from rollcast.trajectory import FRAME_RATE_HZ
+
+if TYPE_CHECKING:
+    from rollcast.simulation import Simulator
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+@functools.cache
+def _simulator() -> "Simulator":
+    """Return this process's only simulator: it owns a PyBullet client."""
+    # Imported here because the process that serves must not load PyBullet.
+    from rollcast.simulation import Simulator
+
+    return Simulator()
+
+
+def simulate(request: SimulateRequest) -> str:
+    """Simulate and draw a scene, in the process that holds the simulator.
+
+    Returns
+    -------
+    str
+        A ``rollcast.http.SimulateResponse`` as JSON, which crosses to the other process cheaply.
+
+    Raises
+    ------
+    rollcast.errors.SceneParametersError, rollcast.errors.SceneRejectedError
+        When no such scene exists.
+    """
+    parameters = request.scene.given()
+    if request.textured is not None:
+        parameters["textured"] = request.textured
+    sequence = _simulator().sequence(
+        scenario=request.scenario,
+        objects=request.balls,
+        seed=request.seed,
+        steps=request.steps,
+        start_step=request.start_step,
+        parameters=parameters,
+    )
+    scene, size = sequence.scene, request.image_size
+    camera = camera_for(scene.scenario, size)
+    positions_px = camera.project(sequence.trajectory.positions_m)
+    turning = sequence.trajectory.angular_velocities_rad_s
+    return SimulateResponse(
+        scenario=scene.scenario,
+        seed=scene.seed,
+        frame_rate=FRAME_RATE_HZ,
+        frame_size=(size, size),
+        start_step=sequence.start_step,
+        times_s=[index / FRAME_RATE_HZ for index in range(request.steps)],
+        frames=_png_files(sequence.render(size)) if request.include_frames else None,
+        objects=[
+            SimulatedObject(
+                id=ball,
+                color=COLORS[ball],
+                radius_px=scene.radius_m * camera.pixels_per_metre,
+                positions=positions_px[:, ball].tolist(),
+                angular_velocities=turning[:, ball].tolist(),
+            )
+            for ball in range(scene.objects)
+        ],
+        scene=scene,
+    ).model_dump_json()
+
+
+def _png_files(frames: UInt8[np.ndarray, "steps S S 3"]) -> list[str]:
+    files: list[str] = []
+    for frame in frames:
+        buffer = io.BytesIO()
+        Image.fromarray(frame).save(buffer, "PNG", compress_level=1)
+        files.append(base64.b64encode(buffer.getvalue()).decode("ascii"))
+    return files
+
+
+class RecycledProcess(Executor):
+    """An executor with one process, started on demand and replaced after a number of calls.
+
+    ``ProcessPoolExecutor(max_tasks_per_child=...)`` does the same and can deadlock in Python 3.11
+    (CPython issue 115634). A process that dies takes the calls with it that it was given; the next
+    call gets a new one.
+
+    Parameters
+    ----------
+    recycle_after
+        Calls after which the process is replaced.
+    """
+
+    def __init__(self, recycle_after: int) -> None:
+        self._recycle_after = recycle_after
+        self._calls = 0
+        self._process = _new_process()
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Hand a call to the process; arguments, result and exceptions are pickled."""
+        if self._calls == self._recycle_after:
+            self._replace()
+        self._calls += 1
+        try:
+            return self._process.submit(fn, *args, **kwargs)
+        except BrokenProcessPool:
+            self._replace()
+            return self._process.submit(fn, *args, **kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Let the running call end, and the process with it."""
+        self._process.shutdown(wait, cancel_futures=cancel_futures)
+
+    def _replace(self) -> None:
+        self._process.shutdown(wait=False)
+        self._process = _new_process()
+        self._calls = 0
+
+
+def _new_process() -> ProcessPoolExecutor:
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(1, context, initializer=_prepare_process)
+
+
+def _prepare_process() -> None:
+    """Leave Ctrl-C to the parent, and never outlive it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+
+
+def _die_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    multiprocessing.connection.wait([parent.sentinel])
+    os._exit(1)

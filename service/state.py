@@ -1,0 +1,59 @@
+"""What the app holds while it runs; its lifespan fills and empties it."""
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from fastapi import Depends, Request
+
+from service.errors import NotReadyError
+from service.registry import Registry
+from service.settings import Settings
+from service.workers import Workers
+
+
+@dataclass
+class State:
+    """The running service.
+
+    Attributes
+    ----------
+    settings
+        As they were at start.
+    inference, simulation
+        Where forecasts and simulations are computed.
+    registry
+        The models; empty while loading.
+    phase
+        ``loading`` before the models are there, ``draining`` after the order to stop.
+    """
+
+    settings: Settings
+    inference: Workers
+    simulation: Workers
+    registry: Registry = field(default_factory=lambda: Registry([]))
+    phase: Literal["loading", "serving", "draining"] = "loading"
+
+    @property
+    def readiness(self) -> Literal["ready", "loading", "no usable model", "draining"]:
+        """Whether forecasts are answered, and why not."""
+        if self.phase != "serving":
+            return self.phase
+        return "ready" if self.registry.served else "no usable model"
+
+    def require_serving(self) -> None:
+        """Check that the models are there.
+
+        Raises
+        ------
+        NotReadyError
+            While they are being loaded, and while the service drains.
+        """
+        if self.phase != "serving":
+            raise NotReadyError(f"The service is {self.phase}.")
+
+
+def _state(request: Request) -> State:
+    return request.app.state.service
+
+
+ServiceState = Annotated[State, Depends(_state)]

@@ -1,0 +1,60 @@
+"""The real server as a process of its own, with the committed models."""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import pytest
+
+from rollcast.client import Client
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def start_service(log: IO[str] | int = subprocess.DEVNULL) -> tuple[subprocess.Popen[str], str]:
+    """Start the service on a free port; return the process and its address."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "service", "--port", "0"],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=log,
+        text=True,
+    )
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    found = re.search(r"http://\S+", line)
+    assert found, f"the service said {line!r}"
+    return process, found.group()
+
+
+def stop_service(process: subprocess.Popen[str]) -> int:
+    process.terminate()
+    process.communicate(timeout=30)
+    return process.returncode
+
+
+def wait_until_ready(client: Client) -> None:
+    deadline = time.monotonic() + 60
+    while client.health().status == "loading":
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="session")
+def address() -> Iterator[str]:
+    process, address = start_service()
+    with Client(address) as client:
+        wait_until_ready(client)
+    yield address
+    assert stop_service(process) in {0, -signal.SIGTERM}
+
+
+@pytest.fixture
+def client(address: str) -> Iterator[Client]:
+    with Client(address) as client:
+        yield client

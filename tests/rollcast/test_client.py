@@ -1,0 +1,242 @@
+"""The client against a transport of its own; tests/e2e has it against the real service."""
+
+import base64
+import json
+
+import httpx2
+import numpy as np
+import pytest
+from PIL import Image
+
+import rollcast.client
+from rollcast.client import Client
+from rollcast.client.images import decoded, encoded
+from rollcast.errors import (
+    BusyError,
+    ClientError,
+    RefusedError,
+    ServiceFailedError,
+    UnexpectedAnswerError,
+    UnreachableError,
+)
+
+FRAME = np.random.default_rng(0).integers(0, 256, (48, 48, 3), np.uint8)
+FORECAST = {
+    "model": {"name": "dot", "version": 1, "variant": "dotnet", "trained_horizon": 20},
+    "frame_size": [48, 48],
+    "frame_rate": 40,
+    "objects": [
+        {
+            "id": 0,
+            "color": "red",
+            "positions": [[1, 2], [3, 4]],
+            "covariances": [[[1, 0], [0, 1]]] * 2,
+            "covariance_source": "predicted",
+            "angular_velocities": [[1, 2, 3]] * 2,
+        },
+        {
+            "id": 1,
+            "color": "green",
+            "positions": [[5, 6], [7, 8]],
+            "covariances": [[[1, 0], [0, 1]]] * 2,
+            "covariance_source": "predicted",
+            "angular_velocities": [[1, 2, 3]] * 2,
+        },
+    ],
+    "times_s": [0, 0.025],
+    "final_positions": None,
+    "warnings": ["beware"],
+    "timing_ms": {"decode": 1, "encode": 2, "rollout": 3, "total": 6},
+}
+
+
+class Service(httpx2.BaseTransport):
+    """Answers every request alike and keeps what was asked."""
+
+    def __init__(self, answer, status=200, headers=None):
+        self.answer, self.status, self.headers = answer, status, headers
+        self.request = None
+        self.body = b""
+
+    def handle_request(self, request):
+        self.request = request
+        self.body = request.read()
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        content = self.answer if isinstance(self.answer, str) else json.dumps(self.answer)
+        return httpx2.Response(self.status, content=content, headers=self.headers)
+
+
+def client(service):
+    return Client("http://rollcast.test", transport=service)
+
+
+def test_the_public_names():
+    assert sorted(rollcast.client.__all__) == ["Client", "Crop", "Forecast", "Frame", "Simulation"]
+
+
+def test_a_forecast_is_arrays():
+    service = Service(FORECAST)
+    with client(service) as rollcast_client:
+        forecast = rollcast_client.predict([FRAME] * 4, horizon=2, objects=2)
+    assert forecast.positions.shape == (2, 2, 2)
+    assert forecast.covariances.shape == (2, 2, 2, 2)
+    assert forecast.angular_velocities is not None
+    assert forecast.angular_velocities.shape == (2, 2, 3)
+    assert forecast.final_positions is None
+    np.testing.assert_array_equal(forecast.times_s, [0, 0.025])
+    assert (forecast.colors, forecast.warnings) == (("red", "green"), ("beware",))
+    assert (forecast.model.name, forecast.frame_size) == ("dot", (48, 48))
+    assert forecast.timing_ms.total == 6
+
+
+def test_frames_are_sent_in_order_as_parts_and_only_what_was_said():
+    service = Service(FORECAST)
+    frames = [np.full((32, 32, 3), value, np.uint8) for value in range(5)]
+    client(service).predict(frames[:4], final_frame=frames[4], horizon=2)
+    assert service.request.url.path == "/predict"
+    places = [service.body.index(encoded(frame, None)) for frame in frames]
+    assert places == sorted(places)
+    assert service.body.count(b'name="frames"') == 4
+    assert service.body.count(b' name="final_frame"') == 1
+    assert b'name="horizon"\r\n\r\n2\r\n' in service.body
+    assert b'name="model"\r\n\r\nauto\r\n' in service.body
+    assert b"scenario" not in service.body
+
+
+def test_frames_may_be_arrays_images_or_paths(tmp_path):
+    path = tmp_path / "frame.png"
+    Image.fromarray(FRAME).save(path)
+    for frame in (FRAME, Image.fromarray(FRAME), path, str(path)):
+        np.testing.assert_array_equal(decoded(encoded(frame, None)), FRAME)
+    assert encoded(path, None) == path.read_bytes(), "a file is sent as it is"
+
+
+@pytest.mark.parametrize("shape", [(60, 40), (41, 60)])
+def test_a_crop_is_the_largest_square_in_the_middle(shape, tmp_path):
+    frame = np.random.default_rng(1).integers(0, 256, (*shape, 3), np.uint8)
+    side = min(shape)
+    top, left = (shape[0] - side) // 2, (shape[1] - side) // 2
+    expected = frame[top : top + side, left : left + side]
+    path = tmp_path / "frame.png"
+    Image.fromarray(frame).save(path)
+    for source in (frame, path):
+        np.testing.assert_array_equal(decoded(encoded(source, "square")), expected)
+
+
+@pytest.mark.parametrize(
+    ("frame", "error", "message"),
+    [
+        (FRAME.astype(float), TypeError, "float64, expected uint8"),
+        (FRAME[..., 0], ValueError, r"shape \(48, 48\), expected \[height, width, 3\]"),
+        ("no/such/file.png", OSError, "no/such"),
+    ],
+)
+def test_what_is_no_frame_is_refused_here(frame, error, message):
+    with pytest.raises(error, match=message):
+        encoded(frame, None)
+
+
+PROBLEM = {
+    "type": "/problems/invalid-value",
+    "title": "A value is not acceptable",
+    "status": 422,
+    "detail": "horizon: expected more",
+    "field": "horizon",
+    "value": 0,
+    "expected": "more",
+}
+
+
+@pytest.mark.parametrize(
+    ("status", "kind"),
+    [(400, RefusedError), (404, RefusedError), (422, RefusedError), (503, ServiceFailedError)],
+)
+def test_a_problem_document_is_raised(status, kind):
+    service = Service(PROBLEM | {"status": status}, status)
+    with pytest.raises(kind) as caught:
+        client(service).predict([FRAME] * 4)
+    assert caught.value.problem.field == "horizon"
+    assert str(caught.value) == f"A value is not acceptable ({status}): horizon: expected more"
+    assert isinstance(caught.value, ClientError)
+
+
+def test_a_full_queue_says_when_to_come_back():
+    service = Service(PROBLEM | {"status": 429}, 429, {"retry-after": "3"})
+    with pytest.raises(BusyError) as caught:
+        client(service).models()
+    assert caught.value.retry_after_s == 3
+
+
+@pytest.mark.parametrize("answer", ["<html>", "{}", '{"models": 1}'])
+def test_another_program_at_the_address(answer):
+    with pytest.raises(UnexpectedAnswerError, match=r"http://rollcast\.test/models answered 200"):
+        client(Service(answer)).models()
+
+
+@pytest.mark.parametrize("fault", [httpx2.ConnectError("refused"), httpx2.ReadTimeout("slow")])
+def test_a_service_that_does_not_answer(fault):
+    with pytest.raises(UnreachableError, match=r"http://rollcast\.test/health/ready"):
+        client(Service(fault)).health()
+
+
+def test_a_service_that_is_not_ready_is_no_error():
+    assert client(Service({"status": "loading"}, 503)).health().status == "loading"
+
+
+def test_models_and_their_cards():
+    model = {"name": "a/b", "version": 1, "status": "ready"}
+    assert client(Service({"models": [model]})).models()[0].version == 1
+    service = Service(model | {"versions": [1, 2], "licence": "MIT", "card": "# A"})
+    assert client(service).model("a/b", 1).card == "# A"
+    assert service.request.url.raw_path == b"/models/a%2Fb/versions/1"
+
+
+def test_a_simulation_is_arrays_and_its_scene_goes_back():
+    scene = {
+        "scenario": "hemisphere",
+        "seed": 7,
+        "textured": True,
+        "radius_m": 0.1,
+        "rotation_rad": 0.5,
+        "axis_ratio": 1.0,
+        "positions_m": [[0, 0, 0.1]],
+        "velocities_m_s": [[1, 0, 0]],
+        "orientations_xyzw": [[0, 0, 0, 1]],
+    }
+
+    file = base64.b64encode(encoded(FRAME, None)).decode()
+    answer = {
+        "scenario": "hemisphere",
+        "seed": 7,
+        "frame_rate": 40,
+        "frame_size": [48, 48],
+        "start_step": 80,
+        "times_s": [0, 0.025, 0.05, 0.075],
+        "frames": [file] * 4,
+        "objects": [
+            {
+                "id": 0,
+                "color": "red",
+                "radius_px": 5,
+                "positions": [[1, 2]] * 4,
+                "angular_velocities": [[1, 2, 3]] * 4,
+            }
+        ],
+        "scene": scene,
+    }
+    service = Service(answer)
+    simulation = client(service).simulate("hemisphere", seed=7, steps=4)
+    assert json.loads(service.body) == {
+        "scenario": "hemisphere",
+        "seed": 7,
+        "steps": 4,
+        "image_size": 128,
+        "include_frames": True,
+    }
+    assert simulation.frames is not None
+    np.testing.assert_array_equal(simulation.frames, FRAME[None].repeat(4, axis=0))
+    assert simulation.positions.shape == (1, 4, 2)
+    assert simulation.angular_velocities.shape == (1, 4, 3)
+    client(service).simulate(scene=simulation.scene)
+    assert json.loads(service.body)["scene"] == json.loads(simulation.scene.model_dump_json())

@@ -1,0 +1,133 @@
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from rollcast.manifest import HASHED_FILES, MANIFEST_FILE, Manifest
+
+FIELDS = {
+    "format_version": 1,
+    "name": "probnet",
+    "version": 3,
+    "default": True,
+    "variant": "probnet",
+    "preset": "compact",
+    "scenarios": ["hemisphere"],
+    "objects": 2,
+    "observed_frames": 4,
+    "frames": 4,
+    "final_step": None,
+    "frame_rate_hz": 40,
+    "frame_size": 128,
+    "trained_horizon": 20,
+    "state": [{"name": "s", "shape": [2, 32, 8, 8]}],
+    "outputs": [
+        {"name": "positions", "shape": [2, 2], "unit": "px"},
+        {"name": "covariances", "shape": [2, 2, 2], "unit": "px^2"},
+        {"name": "angular_velocities", "shape": [2, 3], "unit": "rad/s"},
+    ],
+    "covariance": {"source": "predicted", "variance_scale": [1.0, 1.5]},
+    "angular_velocity": True,
+    "training": {"seed": 1, "sequences": 100_000, "configuration": {"batch": 32}},
+    "metrics": [
+        {
+            "split": "validation",
+            "scenario": "hemisphere",
+            "horizon": 20,
+            "sequences": 300,
+            "position_error_px": 3.5,
+        }
+    ],
+    "validation_error_px": 3.5,
+    "parity": {"max_abs_error": {"positions": 1e-5}, "tolerance": {"positions": 1e-3}},
+    "golden_tolerance": {"positions": 1e-2, "covariances": 1e-1, "angular_velocities": 1e-2},
+    "files": dict.fromkeys(HASHED_FILES, 64 * "a"),
+    "licence": "Apache-2.0",
+}
+
+numbers = st.floats(0.01, 1e4)
+
+
+@given(
+    version=st.integers(1, 10**6),
+    scale=st.lists(numbers, min_size=1, max_size=5),
+    error=numbers,
+    training=st.dictionaries(st.text(), st.integers() | st.text() | st.lists(st.booleans())),
+)
+def test_what_is_written_is_read_back(tmp_path_factory, version, scale, error, training):
+    changes = {
+        "version": version,
+        "covariance": {"source": "predicted", "variance_scale": scale},
+        "validation_error_px": error,
+        "training": training,
+    }
+    manifest = Manifest.model_validate(FIELDS | changes)
+    path = tmp_path_factory.mktemp("artefact") / MANIFEST_FILE
+    manifest.write(path)
+    assert Manifest.read(path) == manifest
+
+
+def test_names_of_outputs():
+    manifest = Manifest.model_validate(FIELDS)
+    assert manifest.label == "probnet@3"
+    assert manifest.output_names == ("positions", "covariances", "angular_velocities")
+    assert manifest.step_output_names == manifest.output_names
+    assert manifest.frames_shape == (4, 128, 128, 3)
+
+
+def final_frame_model(**changes):
+    outputs = [FIELDS["outputs"][0], {"name": "final_positions", "shape": [2, 2], "unit": "px"}]
+    return FIELDS | {
+        "frames": 5,
+        "final_step": 29,
+        "outputs": outputs,
+        "angular_velocity": False,
+        "covariance": {"source": "empirical", "empirical": [[[1, 0], [0, 1]]]},
+        "golden_tolerance": {"positions": 1e-2, "final_positions": 1e-2},
+        **changes,
+    }
+
+
+def test_a_final_position_is_the_encoders_alone():
+    manifest = Manifest.model_validate(final_frame_model())
+    assert manifest.output_names == ("positions", "final_positions")
+    assert manifest.step_output_names == ("positions",)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"name": "../probnet"}, "name"),
+        ({"version": 0}, "version"),
+        ({"format_version": 2}, "format_version"),
+        ({"scenarios": []}, "scenarios"),
+        ({"scenarios": ["moon"]}, "scenarios"),
+        ({"objects": 4}, "objects"),
+        ({"objects": 1}, "output positions has shape"),
+        ({"outputs": FIELDS["outputs"][:2]}, "outputs are"),
+        ({"outputs": FIELDS["outputs"] + FIELDS["outputs"][:1]}, "outputs are"),
+        ({"angular_velocity": False}, "outputs are"),
+        ({"covariance": {"source": "empirical"}}, "empirical"),
+        ({"covariance": {"source": "predicted", "empirical": [[[1, 0], [0, 1]]]}}, "empirical"),
+        ({"covariance": {"source": "predicted", "variance_scale": [0]}}, "variance_scale"),
+        ({"frames": 5}, "final_step is None with 5 frames"),
+        (final_frame_model(frames=4), "final_step is 29 with 4 frames"),
+        ({"golden_tolerance": {"positions": 1e-2}}, "golden_tolerance"),
+        ({"files": {}}, "files are"),
+        ({"validation_error_px": float("nan")}, "validation_error_px"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+def test_parts_that_do_not_fit_are_refused(change, message):
+    with pytest.raises(ValidationError, match=message):
+        Manifest.model_validate(FIELDS | change)
+
+
+def test_a_manifest_is_readable_line_by_line(tmp_path):
+    path = tmp_path / MANIFEST_FILE
+    Manifest.model_validate(FIELDS).write(path)
+    text = path.read_text()
+    assert text.endswith("}\n")
+    assert json.loads(text)["name"] == "probnet"

@@ -1,0 +1,142 @@
+import numpy as np
+import pytest
+
+from tests.service.samples import body, moving_dot, parts, registry, served
+
+
+def test_the_answer_has_every_field_of_the_design(client):
+    response = client.post("/predict", json=body(horizon=3))
+    assert response.status_code == 200
+    answer = response.json()
+    assert set(answer.pop("timing_ms")) == {"decode", "encode", "rollout", "total"}
+    assert answer == {
+        "model": {"name": "dot", "version": 1, "variant": "dotnet", "trained_horizon": 20},
+        "frame_size": [128, 128],
+        "frame_rate": 40.0,
+        "objects": [
+            {
+                "id": 0,
+                "color": "red",
+                "positions": [[46.0, 63.0], [48.0, 64.0], [50.0, 65.0]],
+                "covariances": [[[1.0, 0.0], [0.0, 1.0]]] * 3,
+                "covariance_source": "predicted",
+                "angular_velocities": [[1.0, 1.0, 1.0]] * 3,
+            }
+        ],
+        "times_s": [0.0, 0.025, 0.05],
+        "final_positions": None,
+        "warnings": [],
+    }
+
+
+def test_multipart_gives_the_same_answer_as_json(client):
+    by_json = client.post("/predict", json=body(horizon=7, frame_rate=40.5)).json()
+    by_parts = client.post(
+        "/predict", files=parts(moving_dot()), data={"horizon": "7", "frame_rate": "40.5"}
+    ).json()
+    del by_json["timing_ms"], by_parts["timing_ms"]
+    assert by_json == by_parts
+
+
+def test_the_horizon_is_40_by_default(client):
+    answer = client.post("/predict", json=body()).json()
+    assert len(answer["times_s"]) == len(answer["objects"][0]["positions"]) == 40
+
+
+@pytest.mark.parametrize("side", [32, 64, 256, 1000])
+def test_positions_are_pixels_of_the_frames_that_were_sent(client, side):
+    answer = client.post("/predict", json=body(moving_dot(side), horizon=2)).json()
+    scale = side / 128
+    assert answer["frame_size"] == [side, side]
+    ball = answer["objects"][0]
+    np.testing.assert_allclose(
+        ball["positions"], [[46 * scale, 63 * scale], [48 * scale, 64 * scale]], atol=0.03 * scale
+    )
+    np.testing.assert_allclose(ball["covariances"][0], np.eye(2) * scale**2, rtol=1e-6)
+
+
+def test_several_balls_are_ordered_by_colour(client):
+    answer = client.post("/predict", json=body(objects=2)).json()
+    assert [(ball["id"], ball["color"]) for ball in answer["objects"]] == [(0, "red"), (1, "green")]
+    assert answer["model"]["name"] == "pair"
+
+
+def test_a_horizon_beyond_training_is_warned_about(client):
+    answer = client.post("/predict", json=body(horizon=21)).json()
+    assert answer["warnings"] == [
+        "The horizon of 21 steps exceeds the 20 steps that dot@1 was trained on: "
+        "later steps are extrapolated."
+    ]
+
+
+def test_empirical_covariances_are_held_beyond_their_end_with_a_warning(client):
+    answer = client.post("/predict", json=body(model="line", horizon=3)).json()
+    ball = answer["objects"][0]
+    assert ball["covariance_source"] == "empirical"
+    assert ball["covariances"] == [[[1, 0.5], [0.5, 1]], [[4, 0], [0, 4]], [[4, 0], [0, 4]]]
+    assert ball["angular_velocities"] is None
+    assert answer["warnings"] == [
+        "The empirical covariances of line@1 end with step 1: later steps repeat the last one."
+    ]
+
+
+def test_a_variance_scale_widens_the_predicted_covariance(start):
+    covariance = {"source": "predicted", "variance_scale": [1, 4]}
+    client = start(lambda _: registry_of(served(covariance=covariance)))
+    answer = client.post("/predict", json=body(horizon=3)).json()
+    assert [c[0][0] for c in answer["objects"][0]["covariances"]] == [1, 4, 4]
+
+
+def registry_of(*models):
+    return type(registry(None))(models)
+
+
+@pytest.mark.parametrize(("rate", "warned"), [(40, 0), (41.9, 0), (42.1, 1), (30, 1)])
+def test_steps_are_as_far_apart_as_the_frames(client, rate, warned):
+    answer = client.post("/predict", json=body(horizon=2, frame_rate=rate)).json()
+    assert answer["frame_rate"] == rate
+    assert answer["times_s"] == [0, 1 / rate]
+    assert len(answer["warnings"]) == warned
+    turning = answer["objects"][0]["angular_velocities"][0][0]
+    assert turning == pytest.approx(rate / 40), "the angle per frame is what was seen"
+
+
+def test_a_final_frame_fixes_the_horizon(client):
+    images = moving_dot(frames=5)
+    answer = client.post(
+        "/predict", files=[*parts(images[:4]), ("final_frame", ("f.png", images[4]))]
+    ).json()
+    assert answer["model"]["name"] == "between"
+    assert len(answer["times_s"]) == 10
+    assert answer["final_positions"] == [[48.0, 64.0]]
+
+
+def test_the_same_frames_give_the_same_answer(client):
+    first, second = (client.post("/predict", json=body()).json() for _ in range(2))
+    assert first["objects"] == second["objects"]
+
+
+def test_a_forecast_that_diverges_is_refused_with_the_horizon_that_is_left(start):
+    client = start(lambda _: registry_of(exploding()))
+    response = client.post("/predict", json=body(horizon=9))
+    assert response.status_code == 422
+    problem = response.json()
+    assert problem["type"] == "/problems/forecast-diverged"
+    assert (problem["field"], problem["value"]) == ("horizon", 9)
+    assert problem["expected"] == "at most 3 for these frames"
+    assert client.post("/predict", json=body(horizon=3)).status_code == 200
+
+
+def exploding():
+    model = served()
+
+    class Exploding(type(model.predictor)):
+        def advance(self, state):
+            step = super().advance(state)
+            if step.state["position"][0, 0, 0] > 51:
+                step.outputs["positions"] = step.outputs["positions"] * np.inf
+            return step
+
+    return type(model)(
+        model.name, model.version, model.manifest, Exploding(model.manifest), card="#"
+    )

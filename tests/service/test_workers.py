@@ -1,0 +1,108 @@
+import asyncio
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+
+import pytest
+
+from service.errors import QueueFullError
+from service.simulations import RecycledProcess
+from service.workers import Workers
+from tests.service import samples
+from tests.service.samples import body
+
+
+@pytest.fixture
+def workers():
+    workers = Workers(ThreadPoolExecutor(1), capacity=2)
+    yield workers
+    workers.close()
+
+
+def test_a_full_queue_refuses_at_once_and_recovers(workers):
+    gate = threading.Event()
+
+    async def scenario():
+        waiting = [asyncio.create_task(workers.run(gate.wait, 30)) for _ in range(2)]
+        await asyncio.sleep(0)
+        with pytest.raises(QueueFullError):
+            await workers.run(gate.wait, 30)
+        gate.set()
+        assert await asyncio.gather(*waiting) == [True, True]
+        assert await workers.run(max, 1, 2) == 2
+
+    asyncio.run(scenario())
+
+
+def test_a_call_that_is_cancelled_before_its_turn_never_runs(workers):
+    gate, ran = threading.Event(), threading.Event()
+
+    async def scenario():
+        running = asyncio.create_task(workers.run(gate.wait, 30))
+        await asyncio.sleep(0)
+        waiting = asyncio.create_task(workers.run(ran.set))
+        await asyncio.sleep(0)
+        waiting.cancel()
+        gate.set()
+        await running
+        await workers.run(max, 1, 2)
+
+    asyncio.run(scenario())
+    assert not ran.is_set()
+
+
+def test_a_full_queue_is_429_with_retry_after(start):
+    gate, entered = threading.Event(), threading.Semaphore(0)
+    model = samples.served()
+
+    class Slow(samples.DotPredictor):
+        def encode(self, frames):
+            entered.release()
+            gate.wait(30)
+            return super().encode(frames)
+
+    slow = samples.Model("dot", 1, model.manifest, Slow(model.manifest))
+    client = start(
+        lambda _: samples.Registry([slow]),
+        inference_threads=1,
+        inference_queue=0,
+        retry_after_s=7,
+    )
+    statuses = []
+    first = threading.Thread(
+        target=lambda: statuses.append(client.post("/predict", json=body()).status_code)
+    )
+    first.start()
+    try:
+        assert entered.acquire(timeout=30)
+        refused = client.post("/predict", json=body())
+        assert refused.status_code == 429
+        assert refused.headers["retry-after"] == "7"
+        assert refused.json()["type"] == "/problems/queue-full"
+    finally:
+        gate.set()
+        first.join()
+    assert statuses == [200]
+    assert client.post("/predict", json=body()).status_code == 200
+
+
+@pytest.fixture
+def process():
+    process = RecycledProcess(recycle_after=3)
+    yield process
+    process.shutdown()
+
+
+def test_the_process_is_replaced_after_its_calls(process):
+    pids = [process.submit(os.getpid).result() for _ in range(7)]
+    assert pids[0] == pids[1] == pids[2]
+    assert pids[3] == pids[4] == pids[5]
+    assert len(set(pids)) == 3
+    assert os.getpid() not in pids
+
+
+def test_a_process_that_dies_is_replaced(process):
+    with pytest.raises(BrokenProcessPool):
+        process.submit(os._exit, 1).result()
+    assert process.submit(max, 1, 2).result() == 2
