@@ -1,0 +1,1 @@
+"""Offline part of Rollcast: data sets, networks, training, evaluation, export. Never served."""

@@ -1,0 +1,43 @@
+"""Reads parameters back from a deployed artefact, so that training goes on from what is committed."""
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from onnx import numpy_helper
+
+from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, STEP_FILE, Manifest
+from training.models.predictor import Predictor
+from training.recipes import RECIPES
+
+
+def read_parameters(folder: Path) -> dict[str, torch.Tensor]:
+    """Parameters of an exported model by torch's names: its graphs' initialisers."""
+    parameters: dict[str, torch.Tensor] = {}
+    for file in (ENCODER_FILE, STEP_FILE):
+        for initialiser in onnx.load(folder / file).graph.initializer:
+            value = np.array(numpy_helper.to_array(initialiser))
+            parameters[initialiser.name] = torch.from_numpy(value)
+    return parameters
+
+
+def load_exported(folder: Path) -> tuple[Manifest, Predictor]:
+    """Rebuild the torch network of ``models/NAME/VERSION``.
+
+    Raises
+    ------
+    KeyError
+        When no recipe has the model's name.
+    ValueError
+        When a parameter of the network is missing in the graphs.
+    """
+    manifest = Manifest.read(folder / MANIFEST_FILE)
+    predictor = RECIPES[manifest.name]().build()
+    stored = read_parameters(folder)
+    own = predictor.state_dict()
+    missing = sorted(own.keys() - stored.keys())
+    if missing:
+        raise ValueError(f"{folder} lacks the parameters {', '.join(missing)}")
+    predictor.load_state_dict({name: stored[name] for name in own})
+    return manifest, predictor.eval()

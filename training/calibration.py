@@ -1,0 +1,82 @@
+"""Shows how hard the world is beside the paper's: its averages, re-measured (decision 0010)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
+from rollcast.scene import SCENARIOS, Scenario
+from rollcast.simulation import Simulator
+from rollcast.simulation.recording import STOPPED_M_S, TEST_START
+from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ
+from training.evaluate import LINE_POINTS
+from training.metrics import line_through_ten
+from training.splits import seeds
+
+LONGEST_FRAMES = 900
+"""Frames in which every ball has long stopped."""
+
+
+@dataclass(frozen=True)
+class Published:
+    """The paper's averages for a scenario; None where it gives none that can be trusted."""
+
+    line_px: tuple[float, float] | None
+    """Error of a line through ten true positions at T = 20 and T = 40 (table 2)."""
+    angular_speed_rad_s: float
+
+
+PUBLISHED: Mapping[Scenario, Published] = {
+    "hemisphere": Published((39.2, 127.5), 5.94),
+    # The ellipsoid's cells of the Linear row look scrambled (17.9 / 61.9 / 23.3 / 20.1 / 80.0).
+    "ellipsoid": Published(None, 5.94),
+    "heightfield": Published((21.3, 61.9), 2.8),
+}
+
+
+@dataclass(frozen=True)
+class Difficulty:
+    """Averages over scenes of one scenario."""
+
+    line_px: tuple[float, float]
+    angular_speed_rad_s: float
+    """Until the ball has stopped."""
+
+
+def measure(scenario: Scenario, scenes: int) -> Difficulty:
+    """Simulate scenes of the validation split and measure them as the paper's tables do."""
+    camera = camera_for(scenario, NETWORK_FRAME_SIZE)
+    simulator = Simulator()
+    start = TEST_START[scenario]
+    errors: list[np.ndarray] = []
+    speed_sum, frames = 0.0, 0
+    for seed in seeds("validation", scenes):
+        trajectory = simulator.sequence(scenario, 1, seed, LONGEST_FRAMES, 0).trajectory
+        positions = camera.project(trajectory.positions_m[:, 0])
+        line = line_through_ten(positions[None, None, start : start + LINE_POINTS], 40)[0, 0]
+        truth = positions[start + FIRST_FORECAST_FRAME :]
+        errors.append(np.linalg.norm(line[[19, 39]] - truth[[19, 39]], axis=-1))
+        moved = np.linalg.norm(np.diff(trajectory.positions_m[:, 0], axis=0), axis=-1)
+        last = int(np.flatnonzero(moved * FRAME_RATE_HZ >= STOPPED_M_S)[-1]) + 1
+        spin = np.linalg.norm(trajectory.angular_velocities_rad_s[:last, 0], axis=-1)
+        speed_sum, frames = speed_sum + float(spin.sum()), frames + last
+    simulator.close()
+    at_20, at_40 = np.mean(errors, axis=0).tolist()
+    return Difficulty((at_20, at_40), speed_sum / frames)
+
+
+def report(scenes: int) -> str:
+    """Markdown table of our world beside the paper's."""
+    lines = [
+        "| scenario | line T=20 px (paper) | line T=40 px (paper) | angular speed rad/s (paper) |",
+        "|---|---|---|---|",
+    ]
+    for scenario in SCENARIOS:
+        ours, paper = measure(scenario, scenes), PUBLISHED[scenario]
+        published = paper.line_px or ("-", "-")
+        lines.append(
+            f"| {scenario} | {ours.line_px[0]:.1f} ({published[0]}) | {ours.line_px[1]:.1f} "
+            f"({published[1]}) | {ours.angular_speed_rad_s:.2f} ({paper.angular_speed_rad_s}) |"
+        )
+    return "\n".join(lines)

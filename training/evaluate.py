@@ -1,0 +1,123 @@
+"""Measures forecasts on fixed scenes: per scenario and horizon, beside the trivial baselines."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
+from rollcast.manifest import MetricRow
+from rollcast.scene import Scenario
+from rollcast.simulation.recording import TEST_START
+from training.dataset import MAX_HORIZON, Window, fixed_windows
+from training.metrics import Forecasts, forecast, line_through_ten, stays_put
+from training.models.predictor import Predictor
+from training.simulate import Recording, Source, load_recordings, simulate_split
+from training.splits import Split
+
+REPORTED_HORIZONS = (1, 10, 20, 40)
+LINE_POINTS = 10
+
+
+@dataclass(frozen=True)
+class EvaluationSet:
+    """Fixed windows of one scenario, with what the baselines need of their recordings."""
+
+    scenario: Scenario
+    split: Split
+    windows: Sequence[Window]
+    line: np.ndarray
+    """Forecast of the line through ten true positions [sequences, objects, T, 2]."""
+
+
+def evaluation_sets(
+    scenarios: Sequence[Scenario], objects: int, split: Split, scenes: int, workers: int
+) -> list[EvaluationSet]:
+    """Simulate (or load) and render the first ``scenes`` scenes of a split of every scenario."""
+    sets: list[EvaluationSet] = []
+    for scenario in scenarios:
+        shards = simulate_split(Source(scenario, objects), split, scenes, workers)
+        recordings = load_recordings(shards)
+        history = np.stack([_first_positions(recording) for recording in recordings])
+        windows = fixed_windows(recordings, MAX_HORIZON)
+        sets.append(
+            EvaluationSet(scenario, split, windows, line_through_ten(history, MAX_HORIZON))
+        )
+    return sets
+
+
+def _first_positions(recording: Recording) -> np.ndarray:
+    """True image positions [objects, 10, 2] of t = -3..6."""
+    scenario = recording.scene.scenario
+    seen = recording.trajectory.window(TEST_START[scenario], LINE_POINTS)
+    return camera_for(scenario, NETWORK_FRAME_SIZE).project(seen.positions_m).swapaxes(0, 1)
+
+
+def run(
+    predictor: Predictor, sets: Sequence[EvaluationSet]
+) -> Mapping[Scenario, Forecasts]:
+    """Forecast every set up to T_gen."""
+    device = next(predictor.parameters()).device
+    return {part.scenario: forecast(predictor, part.windows, MAX_HORIZON, device) for part in sets}
+
+
+def metric_rows(
+    sets: Sequence[EvaluationSet], forecasts: Mapping[Scenario, Forecasts]
+) -> list[MetricRow]:
+    """Make the rows of a model's table, one a scenario and reported horizon."""
+    rows: list[MetricRow] = []
+    for part in sets:
+        made = forecasts[part.scenario]
+        errors = made.errors_px()
+        truth = made.true_positions
+        rest = np.linalg.norm(stays_put(truth) - truth, axis=-1).mean(axis=(0, 1))
+        line = np.linalg.norm(part.line - truth, axis=-1).mean(axis=(0, 1))
+        spin, perplexity = made.angular_velocity_rmse(), made.perplexity()
+        coverage = made.calibration()
+        for horizon in REPORTED_HORIZONS:
+            step = horizon - 1
+            of_step = errors[:, :, step].mean(axis=1)
+            rows.append(
+                MetricRow(
+                    split="validation" if part.split == "validation" else "test",
+                    scenario=part.scenario,
+                    horizon=horizon,
+                    sequences=len(of_step),
+                    position_error_px=_round(of_step.mean()),
+                    standard_error_px=_round(of_step.std(ddof=1) / np.sqrt(len(of_step))),
+                    angular_velocity_rmse=None if spin is None else _round(spin[step]),
+                    perplexity=None if perplexity is None else _round(perplexity[step]),
+                    coverage_50=None if coverage is None else _round(coverage[0.50][step]),
+                    coverage_95=None if coverage is None else _round(coverage[0.95][step]),
+                    stays_put_px=_round(rest[step]),
+                    line_px=_round(line[step]),
+                )
+            )
+    return rows
+
+
+def markdown_table(rows: Sequence[MetricRow]) -> str:
+    """Rows as a Markdown table, baselines beside the forecasts."""
+    header = (
+        "| scenario | T | sequences | position error px | ang. vel. RMSE rad/s | "
+        "neg. log likelihood | in 50 % | in 95 % | stays put px | line px |"
+    )
+    lines = [header, "|" + "---|" * 10]
+    for row in rows:
+        cells = (
+            row.scenario, row.horizon, row.sequences,
+            f"{row.position_error_px:.2f} ± {row.standard_error_px:.2f}",
+            _cell(row.angular_velocity_rmse), _cell(row.perplexity),
+            _cell(row.coverage_50), _cell(row.coverage_95),
+            _cell(row.stays_put_px), _cell(row.line_px),
+        )  # fmt: skip
+        lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
+    return "\n".join(lines)
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _round(value: float) -> float:
+    return round(float(value), 4)

@@ -1,0 +1,365 @@
+"""Exports a trained network as the artefact that the service loads, and proves the export.
+
+Torch's parameters keep their names as initialisers, so the committed artefact is also what later
+training starts from.
+"""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from torch import Tensor
+
+from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.manifest import (
+    CARD_FILE,
+    ENCODER_FILE,
+    FRAMES_INPUT,
+    GOLDEN_FILE,
+    HASHED_FILES,
+    MANIFEST_FILE,
+    NEXT_PREFIX,
+    OUTPUT_SHAPES,
+    STEP_FILE,
+    CovarianceSource,
+    Manifest,
+    MetricRow,
+    Output,
+    OutputName,
+    Parity,
+    StateTensor,
+)
+from rollcast.scene import Scenario
+from rollcast.trajectory import FRAME_RATE_HZ
+from training.dataset import MAX_HORIZON, Window, collate
+from training.evaluate import EvaluationSet, markdown_table, metric_rows, run
+from training.metrics import Forecasts
+from training.models.predictor import Observation, Predictor, State
+from training.recipes import Recipe
+
+STATE_NAMES = State._fields
+TOLERANCE: Mapping[OutputName, float] = {
+    "positions": 1e-2,
+    "covariances": 5e-2,
+    "angular_velocities": 5e-2,
+}
+"""px, px^2 and rad/s: the largest difference between torch and ONNX Runtime that passes."""
+
+UNITS: Mapping[OutputName, str] = {
+    "positions": "px",
+    "covariances": "px^2",
+    "angular_velocities": "rad/s",
+}
+GOLDEN_SEQUENCES = 2
+LICENCE = "Apache-2.0"
+
+
+class EncoderGraph(Predictor):
+    """Frames to the state and the first observation, as positional tensors."""
+
+    def forward(self, frames: Tensor) -> tuple[Tensor, ...]:
+        state = self.start(frames)
+        return *state, *_present(self.observe(state))
+
+
+class StepGraph(Predictor):
+    """State to the next state and its observation, as positional tensors."""
+
+    def forward(self, s: Tensor, p: Tensor) -> tuple[Tensor, ...]:
+        state = self.advance(State(s, p))
+        return *state, *_present(self.observe(state))
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A network ready to be exported."""
+
+    recipe: Recipe
+    predictor: Predictor
+    sequences: int
+    """Training sequences that its weights have seen."""
+
+
+def export(
+    trained: Trained,
+    folder: Path,
+    version: int,
+    validation: Sequence[EvaluationSet],
+    test: Sequence[EvaluationSet],
+) -> Manifest:
+    """Write ``models/NAME/VERSION`` and prove that it computes what torch does.
+
+    Parameters
+    ----------
+    validation, test
+        Scenes that fit the covariances and choose models, and scenes that the card reports.
+
+    Raises
+    ------
+    ValueError
+        When torch and ONNX Runtime differ by more than the tolerance.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    predictor = trained.predictor.cpu().eval()
+    sample = collate(_spread(validation, GOLDEN_SEQUENCES))["frames"]
+    _write_graphs(predictor, sample, folder)
+    horizon = trained.recipe.trained_horizon
+    _write_golden(predictor, sample, horizon, folder)
+    windows = _spread(validation, 3)
+    parity = measure_parity(predictor, folder, windows, horizons=(horizon, MAX_HORIZON))
+    on_validation = run(predictor, validation)
+    covariance = fit_covariance(on_validation)
+    rows = metric_rows(validation, with_covariance(on_validation, covariance))
+    rows += metric_rows(test, with_covariance(run(predictor, test), covariance))
+    chosen = [
+        row.position_error_px
+        for row in rows
+        if row.split == "validation" and row.horizon == horizon
+    ]
+    observation = _observation_of(predictor, sample)
+    card = model_card(trained, version, rows, covariance)
+    (folder / CARD_FILE).write_text(card, encoding="utf-8")
+    manifest = Manifest(
+        format_version=1,
+        name=trained.recipe.name,
+        version=version,
+        default=True,
+        variant=trained.recipe.variant,
+        preset=trained.recipe.preset,
+        scenarios=trained.recipe.scenarios,
+        objects=trained.recipe.objects,
+        observed_frames=4,
+        frames=4,
+        final_step=None,
+        frame_rate_hz=FRAME_RATE_HZ,
+        frame_size=NETWORK_FRAME_SIZE,
+        trained_horizon=horizon,
+        state=tuple(
+            StateTensor(name=name, shape=tuple(tensor.shape[1:]))
+            for name, tensor in zip(STATE_NAMES, predictor.start(sample), strict=True)
+        ),
+        outputs=tuple(
+            Output(name=name, shape=(trained.recipe.objects, *OUTPUT_SHAPES[name]), unit=UNITS[name])
+            for name in observation
+        ),
+        covariance=covariance,
+        angular_velocity="angular_velocities" in observation,
+        training={
+            "sequences": trained.sequences,
+            "seed": trained.recipe.seed,
+            "scenes": {part.source.name: part.scenes for part in trained.recipe.data},
+        },
+        metrics=tuple(rows),
+        validation_error_px=round(float(np.mean(chosen)), 4),
+        parity=parity,
+        golden_tolerance={name: TOLERANCE[name] for name in observation},
+        files={name: _sha256(folder / name) for name in HASHED_FILES},
+        licence=LICENCE,
+    )
+    manifest.write(folder / MANIFEST_FILE)
+    return manifest
+
+
+def _present(observation: Observation) -> tuple[Tensor, ...]:
+    return tuple(part for part in observation if part is not None)
+
+
+def _observation_of(predictor: Predictor, frames: Tensor) -> dict[OutputName, Tensor]:
+    """First observation by output name, without what the network does not have."""
+    with torch.inference_mode():
+        observation = predictor.observe(predictor.start(frames))
+    named: dict[OutputName, Tensor | None] = {
+        "positions": observation.positions,
+        "covariances": observation.covariances,
+        "angular_velocities": observation.angular_velocities,
+    }
+    return {name: value for name, value in named.items() if value is not None}
+
+
+def _spread(sets: Sequence[EvaluationSet], windows: int) -> list[Window]:
+    """Take some windows, from every scenario in turn."""
+    return [sets[k % len(sets)].windows[k // len(sets)] for k in range(windows)]
+
+
+def _write_graphs(predictor: Predictor, frames: Tensor, folder: Path) -> None:
+    parts = (
+        predictor.encoder, predictor.transition, predictor.motion, predictor.output, predictor.spin,
+    )  # fmt: skip
+    outputs = list(_observation_of(predictor, frames))
+    batch = torch.export.Dim("batch", min=1, max=4096)
+    with torch.inference_mode():
+        state = predictor.start(frames)
+    _write_graph(
+        EncoderGraph(*parts), (frames,), [FRAMES_INPUT], [*STATE_NAMES, *outputs],
+        {"frames": {0: batch}}, folder / ENCODER_FILE,
+    )  # fmt: skip
+    _write_graph(
+        StepGraph(*parts), tuple(state), list(STATE_NAMES),
+        [*(NEXT_PREFIX + name for name in STATE_NAMES), *outputs],
+        {name: {0: batch} for name in STATE_NAMES}, folder / STEP_FILE,
+    )  # fmt: skip
+
+
+def _write_graph(
+    module: torch.nn.Module,
+    arguments: tuple[Tensor, ...],
+    inputs: list[str],
+    outputs: list[str],
+    dynamic: dict[str, dict[int, object]],
+    path: Path,
+) -> None:
+    # Ordinary tensors: those made in inference mode cannot be traced.
+    arguments = tuple(argument.clone() for argument in arguments)
+    torch.onnx.export(
+        module.eval(), arguments, path, input_names=inputs, output_names=outputs,
+        dynamic_shapes=dynamic, dynamo=True, external_data=False, verbose=False,
+    )  # fmt: skip
+    onnx.checker.check_model(onnx.load(path))
+
+
+def _write_golden(predictor: Predictor, frames: Tensor, horizon: int, folder: Path) -> None:
+    with torch.inference_mode():
+        rollout = predictor(frames, horizon)
+    values = zip(_observation_of(predictor, frames), _present(rollout), strict=True)
+    arrays = {name: value.numpy() for name, value in values}
+    np.savez_compressed(folder / GOLDEN_FILE, frames=frames.numpy(), **arrays)
+
+
+def measure_parity(
+    predictor: Predictor, folder: Path, windows: Sequence[Window], horizons: Sequence[int]
+) -> Parity:
+    """Compare torch with ONNX Runtime at batch sizes 1 and ``len(windows)`` and some horizons.
+
+    Raises
+    ------
+    ValueError
+        When an output differs by more than its tolerance.
+    """
+    frames = collate(windows)["frames"]
+    worst: dict[OutputName, float] = {}
+    for batch in (frames[:1], frames):
+        for horizon in horizons:
+            with torch.inference_mode():
+                expected = _present(predictor(batch, horizon))
+            rolled = _roll_onnx(folder, batch.numpy(), horizon, list(_observation_of(predictor, batch)))
+            for (name, value), truth in zip(rolled.items(), expected, strict=True):
+                difference = float(np.abs(value - truth.numpy()).max())
+                worst[name] = max(worst.get(name, 0.0), difference)
+    for name, difference in worst.items():
+        if not difference <= TOLERANCE[name]:
+            raise ValueError(f"{name}: torch and ONNX differ by {difference}, over {TOLERANCE[name]}")
+    return Parity(
+        max_abs_error={name: float(f"{value:.2e}") for name, value in worst.items()},
+        tolerance={name: TOLERANCE[name] for name in worst},
+    )
+
+
+def _roll_onnx(
+    folder: Path, frames: np.ndarray, horizon: int, outputs: list[OutputName]
+) -> dict[OutputName, np.ndarray]:
+    # Imported here: ONNX Runtime reads its telemetry switch at import (decision 0002).
+    import onnxruntime
+
+    encoder = onnxruntime.InferenceSession(folder / ENCODER_FILE)
+    step = onnxruntime.InferenceSession(folder / STEP_FILE)
+    split = len(STATE_NAMES)
+    values = encoder.run([*STATE_NAMES, *outputs], {FRAMES_INPUT: frames})
+    rows = [values[split:]]
+    for _ in range(horizon - 1):
+        state = dict(zip(STATE_NAMES, values[:split], strict=True))
+        values = step.run([*(NEXT_PREFIX + name for name in STATE_NAMES), *outputs], state)
+        rows.append(values[split:])
+    stacked = [np.stack(parts, axis=2) for parts in zip(*rows, strict=True)]
+    return dict(zip(outputs, stacked, strict=True))
+
+
+def fit_covariance(forecasts: Mapping[Scenario, Forecasts]) -> CovarianceSource:
+    """Fit what the manifest says of uncertainty, on validation forecasts up to T_gen.
+
+    A network that predicts covariances gets the variance scale of highest likelihood at every
+    step, mean(Mahalanobis^2) / 2; any other the covariance of its own residuals.
+    """
+    residuals = np.concatenate([f.true_positions - f.positions for f in forecasts.values()])
+    residuals = residuals.reshape(-1, residuals.shape[-2], 2).astype(float)
+    covariances = [f.covariances for f in forecasts.values() if f.covariances is not None]
+    if not covariances:
+        moments = np.einsum("nti,ntj->tij", residuals, residuals) / len(residuals)
+        return CovarianceSource(
+            source="empirical",
+            empirical=tuple(
+                ((round(m[0][0], 4), round(m[0][1], 4)), (round(m[1][0], 4), round(m[1][1], 4)))
+                for m in moments.tolist()
+            ),
+        )
+    joined = np.concatenate(covariances).reshape(-1, residuals.shape[1], 2, 2)
+    solved = np.linalg.solve(joined.astype(float), residuals[..., None])[..., 0]
+    scale = np.sum(residuals * solved, axis=-1).mean(axis=0) / 2
+    return CovarianceSource(
+        source="predicted", variance_scale=tuple(round(value, 4) for value in scale.tolist())
+    )
+
+
+def with_covariance(
+    forecasts: Mapping[Scenario, Forecasts], covariance: CovarianceSource
+) -> Mapping[Scenario, Forecasts]:
+    """Forecasts with the covariances that the service will answer with."""
+    return {
+        scenario: replace(made, covariances=_served_covariances(made, covariance))
+        for scenario, made in forecasts.items()
+    }
+
+
+def _served_covariances(made: Forecasts, covariance: CovarianceSource) -> np.ndarray:
+    if covariance.empirical is not None:
+        by_step = np.array(covariance.empirical, dtype=np.float32)
+        return np.broadcast_to(by_step, (*made.positions.shape[:2], *by_step.shape))
+    assert made.covariances is not None
+    assert covariance.variance_scale is not None
+    scale = np.array(covariance.variance_scale, dtype=np.float32)
+    return made.covariances * scale[:, None, None]
+
+
+def model_card(
+    trained: Trained, version: int, rows: Sequence[MetricRow], covariance: CovarianceSource
+) -> str:
+    """Model card in Markdown, with the measured error whatever it is."""
+    recipe = trained.recipe
+    source = {
+        "predicted": "predicted by the network, times a variance scale per step fitted on validation",
+        "empirical": "the covariance of the network's own validation residuals at each step",
+    }[covariance.source]
+    scenes = ", ".join(f"{part.scenes} {part.source.name}" for part in recipe.data)
+    return f"""# {recipe.name}@{version}
+
+{recipe.variant} ({recipe.preset} preset), {recipe.objects} ball(s), scenarios
+{", ".join(recipe.scenarios)}. It sees four 128 x 128 frames at {FRAME_RATE_HZ} Hz and was trained
+to forecast {recipe.trained_horizon} steps.
+
+- Trained on {trained.sequences:,} sequences from simulated scenes: {scenes}.
+- Uncertainty: {source}.
+- Limits: simulated scenes of these scenarios only; beyond step {recipe.trained_horizon} it
+  extrapolates past its training.
+- Licence: {LICENCE}.
+
+## Measured
+
+128-pixel units, mean over scenes that training never saw, from the fixed test start; T is the
+horizon, so the error is that of step T - 1. "Stays put" and "line" (through ten true positions,
+t = -3..6) are measured on the same scenes.
+
+### Test
+
+{markdown_table([row for row in rows if row.split == "test"])}
+
+### Validation
+
+{markdown_table([row for row in rows if row.split == "validation"])}
+"""
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

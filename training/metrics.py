@@ -1,0 +1,104 @@
+"""What is measured of a forecast, in 128-pixel units, rad/s and nats."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from training.dataset import Window, collate
+from training.losses import negative_log_likelihood
+from training.models.predictor import Observation, Predictor
+
+# Mahalanobis radii squared of the ellipses that hold 50 % and 95 % of a bivariate Gaussian.
+_ELLIPSES = {0.50: -2 * np.log(0.50), 0.95: -2 * np.log(0.05)}
+
+
+@dataclass(frozen=True)
+class Forecasts:
+    """Forecasts of several sequences beside their truth.
+
+    ``covariances`` and ``angular_velocities`` are None where the network has no such output.
+    """
+
+    positions: Float[np.ndarray, "sequences objects steps 2"]
+    covariances: Float[np.ndarray, "sequences objects steps 2 2"] | None
+    angular_velocities: Float[np.ndarray, "sequences objects steps 3"] | None
+    true_positions: Float[np.ndarray, "sequences objects steps 2"]
+    true_angular_velocities: Float[np.ndarray, "sequences objects steps 3"]
+
+    def errors_px(self) -> Float[np.ndarray, "sequences objects steps"]:
+        """Distance to the truth at every step."""
+        return np.linalg.norm(self.positions - self.true_positions, axis=-1)
+
+    def angular_velocity_rmse(self) -> Float[np.ndarray, " steps"] | None:
+        """Root of the mean squared length of the angular velocity error, at every step."""
+        if self.angular_velocities is None:
+            return None
+        squared = np.sum((self.angular_velocities - self.true_angular_velocities) ** 2, axis=-1)
+        return np.sqrt(squared.mean(axis=(0, 1)))
+
+    def perplexity(self) -> Float[np.ndarray, " steps"] | None:
+        """Mean negative log likelihood in nats, as in the paper's tables (design, section 2)."""
+        if self.covariances is None:
+            return None
+        nll = negative_log_likelihood(
+            torch.from_numpy(self.positions),
+            torch.from_numpy(self.covariances),
+            torch.from_numpy(self.true_positions),
+        )
+        return nll.mean(dim=(0, 1)).numpy()
+
+    def calibration(self) -> dict[float, Float[np.ndarray, " steps"]] | None:
+        """Share of truths inside the 50 % and the 95 % ellipse, at every step."""
+        if self.covariances is None:
+            return None
+        difference = self.true_positions - self.positions
+        solved = np.linalg.solve(self.covariances, difference[..., None])[..., 0]
+        squared = np.sum(difference * solved, axis=-1)
+        return {level: (squared <= radius).mean(axis=(0, 1)) for level, radius in _ELLIPSES.items()}
+
+
+def forecast(
+    predictor: Predictor, windows: Sequence[Window], horizon: int, device: torch.device
+) -> Forecasts:
+    """Run a network over windows, in float32 and in batches."""
+    predictor.eval()
+    observed: list[Observation] = []
+    batch_size = 50
+    with torch.inference_mode():
+        for first in range(0, len(windows), batch_size):
+            batch = collate(windows[first : first + batch_size])
+            observed.append(predictor(batch["frames"].to(device), horizon))
+
+    def joined(parts: Sequence[torch.Tensor | None]) -> np.ndarray | None:
+        tensors = [part.float().cpu() for part in parts if part is not None]
+        return torch.cat(tensors).numpy() if tensors else None
+
+    positions = joined([o.positions for o in observed])
+    assert positions is not None
+    return Forecasts(
+        positions,
+        joined([o.covariances for o in observed]),
+        joined([o.angular_velocities for o in observed]),
+        np.stack([w.positions[:, :horizon] for w in windows]).astype(np.float32),
+        np.stack([w.angular_velocities[:, :horizon] for w in windows]).astype(np.float32),
+    )
+
+
+def stays_put(positions: Float[np.ndarray, "sequences objects steps 2"]) -> np.ndarray:
+    """Forecast that every ball rests where it is at t = 0."""
+    return np.broadcast_to(positions[:, :, :1], positions.shape)
+
+
+def line_through_ten(
+    history: Float[np.ndarray, "sequences objects ten 2"], horizon: int
+) -> np.ndarray:
+    """Least-squares line through the first ten true positions, t = -3..6 (paper, section 5.1)."""
+    times = np.arange(history.shape[2]) - 3.0
+    design = np.stack([np.ones_like(times), times], axis=1)
+    coefficients = np.einsum("ct,nktd->nkcd", np.linalg.pinv(design), history)
+    future = np.arange(horizon, dtype=float)
+    basis = np.stack([np.ones_like(future), future], axis=1)
+    return np.einsum("tc,nkcd->nktd", basis, coefficients)

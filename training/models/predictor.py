@@ -1,0 +1,185 @@
+"""The recurrent predictor: encoder, transition, motion, read-outs, composed (design, section 4)."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from rollcast.camera import NETWORK_FRAME_SIZE
+from training.models.blocks import PIXEL_UNIT
+
+ANGULAR_VELOCITY_UNIT = 20.0
+"""rad/s per unit of the networks' read-out; unscaled, its loss would drown the positions'."""
+
+LARGEST_VARIANCE_PX2 = 100.0
+SMALLEST_VARIANCE_PX2 = 0.01
+
+
+class State(NamedTuple):
+    """h_t = (s_t, p_t): distributed state [B, N, C, 8, 8] and motion state [B, N, P]."""
+
+    s: Tensor
+    p: Tensor
+
+
+class Observation(NamedTuple):
+    """What a state says: 128-pixel units, rad/s; None where the network has no such output.
+
+    Shapes are [B, N, 2], [B, N, 2, 2] and [B, N, 3] for one step, with T after N for a rollout.
+    """
+
+    positions: Tensor
+    covariances: Tensor | None
+    angular_velocities: Tensor | None
+
+
+class Motion(Protocol):
+    """How the motion state p_t begins and moves on."""
+
+    def start(self, s_0: Tensor) -> Tensor:
+        """p_0 from s_0."""
+        ...
+
+    def move(self, p: Tensor, s: Tensor, s_next: Tensor) -> Tensor:
+        """p_{t+1} from p_t, s_t and s_{t+1}."""
+        ...
+
+
+class DirectMotion(nn.Module):
+    """p_t = phi_p(aug_xy(s_t)) at every step (PosNet)."""
+
+    def __init__(self, readout: nn.Module) -> None:
+        super().__init__()
+        self.readout = readout
+
+    def start(self, s_0: Tensor) -> Tensor:
+        """p_0 from s_0."""
+        return self.readout(s_0)
+
+    def move(self, p: Tensor, s: Tensor, s_next: Tensor) -> Tensor:  # noqa: ARG002
+        """p_{t+1} from s_{t+1} alone."""
+        return self.readout(s_next)
+
+
+class IncrementalMotion(nn.Module):
+    """p_{t+1} = p_t + phi_p(s_t); p_0 is read by a head of its own (DispNet, ProbNet)."""
+
+    def __init__(self, first: nn.Module, increment: nn.Module) -> None:
+        super().__init__()
+        self.first = first
+        self.increment = increment
+
+    def start(self, s_0: Tensor) -> Tensor:
+        """p_0 from s_0."""
+        return self.first(s_0)
+
+    def move(self, p: Tensor, s: Tensor, s_next: Tensor) -> Tensor:  # noqa: ARG002
+        """p_{t+1} from p_t and s_t."""
+        return p + self.increment(s)
+
+
+class PointOutput(nn.Module):
+    """Positions alone: p = (x, y)."""
+
+    def forward(self, p_BNP: Tensor) -> tuple[Tensor, None]:
+        """Positions, and no covariances."""
+        return pixels(p_BNP[..., :2]), None
+
+
+class GaussianOutput(nn.Module):
+    """Bivariate Gaussian: p = (x, y, beta_1, beta_2, theta) (paper, section 3.3).
+
+    Sigma = R(theta)^T diag(l_1, l_2) R(theta) with eigenvalues l_i = 100 sigmoid(beta_i) + 0.01.
+    """
+
+    def forward(self, p_BNP: Tensor) -> tuple[Tensor, Tensor]:
+        """Positions and covariances."""
+        eigenvalues = LARGEST_VARIANCE_PX2 * torch.sigmoid(p_BNP[..., 2:4]) + SMALLEST_VARIANCE_PX2
+        cos, sin = torch.cos(p_BNP[..., 4]), torch.sin(p_BNP[..., 4])
+        one, two = eigenvalues[..., 0], eigenvalues[..., 1]
+        xx = one * cos * cos + two * sin * sin
+        yy = one * sin * sin + two * cos * cos
+        xy = (two - one) * sin * cos
+        covariance = torch.stack([xx, xy, xy, yy], dim=-1).unflatten(-1, (2, 2))
+        return pixels(p_BNP[..., :2]), covariance
+
+
+def pixels(position: Tensor) -> Tensor:
+    """Network units to 128-pixel units."""
+    return NETWORK_FRAME_SIZE / 2 + PIXEL_UNIT * position
+
+
+def logit_of_variance(variance_px2: float) -> float:
+    """Return the beta whose eigenvalue is ``variance_px2``."""
+    share = (variance_px2 - SMALLEST_VARIANCE_PX2) / LARGEST_VARIANCE_PX2
+    return math.log(share / (1 - share))
+
+
+class Predictor(nn.Module):
+    """Encoder x transition x motion x output x angular velocity.
+
+    Parameters
+    ----------
+    encoder
+        Frames uint8 [B, K, 128, 128, 3] to s_0 [B, N, C, 8, 8].
+    transition
+        s_t to s_{t+1}.
+    motion
+        Start and move of p_t.
+    output
+        p_t to positions and covariances.
+    spin
+        s_t to angular velocities in units of 20 rad/s, or None ("w/o ang. vel.").
+    """
+
+    def __init__(
+        self,
+        encoder: nn.Module,
+        transition: nn.Module,
+        motion: Motion,
+        output: nn.Module,
+        spin: nn.Module | None,
+    ) -> None:
+        super().__init__()
+        self.encoder = encoder
+        self.transition = transition
+        self.motion = motion
+        self.output = output
+        self.spin = spin
+
+    def start(self, frames_BKHW3: Tensor) -> State:
+        """h_0 from the seen frames."""
+        s = self.encoder(frames_BKHW3)
+        return State(s, self.motion.start(s))
+
+    def advance(self, state: State) -> State:
+        """h_{t+1} from h_t."""
+        s_next = self.transition(state.s)
+        return State(s_next, self.motion.move(state.p, state.s, s_next))
+
+    def observe(self, state: State) -> Observation:
+        """Observation y_t of a state."""
+        positions, covariances = self.output(state.p)
+        spin = None if self.spin is None else ANGULAR_VELOCITY_UNIT * self.spin(state.s)
+        return Observation(positions, covariances, spin)
+
+    def forward(self, frames_BKHW3: Tensor, horizon: int) -> Observation:
+        """Observations of the steps 0..horizon-1, stacked after the objects' axis."""
+        state = self.start(frames_BKHW3)
+        steps = [self.observe(state)]
+        for _ in range(horizon - 1):
+            state = self.advance(state)
+            steps.append(self.observe(state))
+        return Observation(
+            torch.stack([step.positions for step in steps], dim=2),
+            _stacked([step.covariances for step in steps]),
+            _stacked([step.angular_velocities for step in steps]),
+        )
+
+
+def _stacked(steps: Sequence[Tensor | None]) -> Tensor | None:
+    """Stack an output's steps; None when the network has no such output."""
+    present = [step for step in steps if step is not None]
+    return torch.stack(present, dim=2) if present else None

@@ -1,0 +1,267 @@
+"""Trains a recipe: resumable at any moment, unattended, on a GPU when there is one."""
+
+import math
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch.utils.data import DataLoader
+from torch.utils.tensorboard import SummaryWriter
+from tqdm import tqdm
+
+from training.dataset import Batch, TrainingStream, Window, fixed_windows
+from training.metrics import forecast
+from training.models.predictor import Observation, Predictor
+from training.recipes import Recipe, Stage
+from training.simulate import Source, load_recordings, simulate_split
+
+CHECKPOINT = "checkpoint.pt"
+BEST = "best.pt"
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How often things happen, in sequences, and how many processes serve the training."""
+
+    validate_every: int = 16_000
+    checkpoint_seconds: float = 120
+    workers: int = 1
+    """Processes that render training batches."""
+    simulators: int = 1
+    """Processes that simulate missing scenes."""
+
+
+class Trainer:
+    """One training run in a folder of its own.
+
+    Parameters
+    ----------
+    folder
+        Where checkpoints, the best weights and TensorBoard events go.
+    initial
+        Parameters to start from, by name; those that do not fit the network are an error.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        folder: Path,
+        pace: Pace | None = None,
+        initial: dict[str, torch.Tensor] | None = None,
+    ) -> None:
+        torch.manual_seed(recipe.seed)
+        self.recipe = recipe
+        self.folder = folder
+        self._pace = pace or Pace()
+        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self.predictor = recipe.build()
+        if initial is not None:
+            load_fitting(self.predictor, initial)
+        # torch's own annotations leave memory_format out.
+        self.predictor.to(self.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        self._average = torch.optim.swa_utils.AveragedModel(
+            self.predictor,
+            multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(recipe.average_decay),
+        )
+        self._optimiser = torch.optim.AdamW(
+            self.predictor.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay
+        )
+        self.batches = 0
+        self._best_error = math.inf
+        self._checkpoint_time = time.monotonic()
+
+    @property
+    def sequences(self) -> int:
+        """Training sequences seen so far."""
+        return self.batches * self.recipe.batch_size
+
+    def run(self) -> float:
+        """Train until the budget is spent, from the last checkpoint on; return the best error."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._resume()
+        recipe = self.recipe
+        windows = validation_windows(recipe, self._pace.simulators)
+        stream = iter(self._stream())
+        total = recipe.sequences // recipe.batch_size
+        events = SummaryWriter(str(self.folder / "events"), purge_step=self.sequences)
+        progress = tqdm(total=total, initial=self.batches, unit="batch", desc=recipe.name)
+        while self.batches < total:
+            loss = self._step(next(stream), self.batches / total)
+            progress.update()
+            if self.batches % 20 == 0:
+                progress.set_postfix(loss=f"{loss:.2f}", best=f"{self._best_error:.2f} px")
+                events.add_scalar("training/loss", loss, self.sequences)
+            every = self._pace.validate_every // recipe.batch_size
+            if self.batches % every == 0 or self.batches == total:
+                self._validate(windows, events)
+            if time.monotonic() - self._checkpoint_time > self._pace.checkpoint_seconds:
+                self._save_checkpoint()
+        self._save_checkpoint()
+        events.close()
+        return self._best_error
+
+    def _stream(self) -> Iterator[Batch]:
+        recipe = self.recipe
+        groups = [
+            load_recordings(
+                simulate_split(part.source, "training", part.scenes, self._pace.simulators)
+            )
+            for part in recipe.data
+        ]
+        stream = TrainingStream(
+            groups,
+            [part.share for part in recipe.data],
+            [part.latest_start for part in recipe.data],
+            recipe.batch_size,
+            recipe.seed,
+            first_batch=self.batches,
+        )
+        loader = DataLoader(
+            stream,
+            batch_size=None,
+            num_workers=self._pace.workers,
+            prefetch_factor=4 if self._pace.workers else None,
+            worker_init_fn=_give_way,
+        )
+        return iter(loader)
+
+    def _step(self, batch: Batch, spent: float) -> float:
+        recipe = self.recipe
+        self.predictor.train()
+        for group in self._optimiser.param_groups:
+            group["lr"] = recipe.learning_rate * learning_rate_factor(spent, recipe.warm_up)
+        horizon = horizon_at(recipe.curriculum, spent)
+        forecast_steps = self._autocast_forecast(batch["frames"].to(self.device), horizon)
+        loss = recipe.loss(
+            forecast_steps,
+            batch["positions"][:, :, :horizon].to(self.device),
+            batch["angular_velocities"][:, :, :horizon].to(self.device),
+        )
+        self._optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.predictor.parameters(), recipe.gradient_clip)
+        self._optimiser.step()
+        self.batches += 1
+        self._average.update_parameters(self.predictor)
+        return float(loss.detach())
+
+    def _autocast_forecast(self, frames: torch.Tensor, horizon: int) -> Observation:
+        with torch.autocast(self.device.type, torch.bfloat16):
+            observed: Observation = self.predictor(frames, horizon)
+        return Observation(
+            observed.positions.float(),
+            None if observed.covariances is None else observed.covariances.float(),
+            None if observed.angular_velocities is None else observed.angular_velocities.float(),
+        )
+
+    def _validate(self, windows: dict[Source, list[Window]], events: SummaryWriter) -> None:
+        """Measure the averaged weights at T_train and keep them when they are the best."""
+        horizon = self.recipe.trained_horizon
+        averaged = self.averaged()
+        errors: list[float] = []
+        for source, source_windows in windows.items():
+            forecasts = forecast(averaged, source_windows, horizon, self.device)
+            by_step = forecasts.errors_px().mean(axis=(0, 1))
+            errors.append(float(by_step[-1]))
+            for step in sorted({1, horizon // 2, horizon}):
+                events.add_scalar(f"{source.name}/T={step}", by_step[step - 1], self.sequences)
+        error = sum(errors) / len(errors)
+        events.add_scalar(f"validation/T={horizon}", error, self.sequences)
+        if error < self._best_error:
+            self._best_error = error
+            _save(self.folder / BEST, self._weights())
+
+    def averaged(self) -> Predictor:
+        """Return the network with the averaged weights."""
+        module = self._average.module
+        assert isinstance(module, Predictor)
+        return module
+
+    def _weights(self) -> dict[str, Any]:
+        return {
+            "weights": self.averaged().state_dict(),
+            "sequences": self.sequences,
+            "validation_error_px": self._best_error,
+        }
+
+    def _save_checkpoint(self) -> None:
+        _save(
+            self.folder / CHECKPOINT,
+            {
+                "predictor": self.predictor.state_dict(),
+                "average": self._average.state_dict(),
+                "optimiser": self._optimiser.state_dict(),
+                "batches": self.batches,
+                "best_error": self._best_error,
+                "random": torch.get_rng_state(),
+            },
+        )
+        self._checkpoint_time = time.monotonic()
+
+    def _resume(self) -> None:
+        """Go on from the last checkpoint, if there is one. Batch k is the same after a stop."""
+        path = self.folder / CHECKPOINT
+        if not path.exists():
+            return
+        state = torch.load(path, map_location=self.device, weights_only=True)
+        self.predictor.load_state_dict(state["predictor"])
+        self._average.load_state_dict(state["average"])
+        self._optimiser.load_state_dict(state["optimiser"])
+        self.batches = state["batches"]
+        self._best_error = state["best_error"]
+        torch.set_rng_state(state["random"].cpu())
+
+
+def _give_way(worker: int) -> None:  # noqa: ARG001 - the loader passes its number
+    """Let rendering fill gaps only: a network's threads wait for the one that lost its core."""
+    os.nice(10)
+
+
+def validation_windows(recipe: Recipe, simulators: int) -> dict[Source, list[Window]]:
+    """Windows of the validation split, for every scenario at the usual radius."""
+    sources = [Source(scenario, recipe.objects) for scenario in recipe.scenarios]
+    return {
+        source: fixed_windows(
+            load_recordings(
+                simulate_split(source, "validation", recipe.validation_scenes, simulators)
+            ),
+            recipe.trained_horizon,
+        )
+        for source in sources
+    }
+
+
+def horizon_at(curriculum: tuple[Stage, ...], spent: float) -> int:
+    """Horizon to train on when a share ``spent`` of the budget is gone."""
+    return next(
+        (stage.horizon for stage in curriculum if spent < stage.until), curriculum[-1].horizon
+    )
+
+
+def learning_rate_factor(spent: float, warm_up: float) -> float:
+    """Linear warm-up, then a cosine down to zero."""
+    if spent < warm_up:
+        return spent / warm_up
+    return 0.5 * (1 + math.cos(math.pi * (spent - warm_up) / (1 - warm_up)))
+
+
+def load_fitting(predictor: Predictor, initial: dict[str, torch.Tensor]) -> list[str]:
+    """Copy the parameters whose names and shapes fit; return the names that were taken over."""
+    own = predictor.state_dict()
+    fitting = {
+        name: value for name, value in initial.items()
+        if name in own and own[name].shape == value.shape
+    }  # fmt: skip
+    predictor.load_state_dict(own | fitting)
+    return sorted(fitting)
+
+
+def _save(path: Path, content: dict[str, Any]) -> None:
+    """Write a file so that it is never seen half-written."""
+    unfinished = path.with_suffix(".tmp")
+    torch.save(content, unfinished)
+    unfinished.replace(path)
