@@ -1,1 +1,1 @@
-"""Rollcast: forecasts of rolling balls - the vocabulary that training, service and clients share."""
+"""Rollcast forecasts rolling balls; this is what training, service and clients share."""

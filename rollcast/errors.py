@@ -3,6 +3,8 @@
 * RollcastError
   x SceneParametersError    scene parameters that do not fit together
   x SceneRejectedError      no acceptable scene comes out of a seed and its parameters
+  x FootageError            a video or image file cannot be read as asked
+    + CropError             a crop does not lie inside the picture
   x ClientError             a call through ``rollcast.client`` failed
     + UnreachableError      the service did not answer
     + UnexpectedAnswerError the answer is not one of this API's
@@ -48,6 +50,14 @@ class SceneParametersError(RollcastError):
 
 class SceneRejectedError(RollcastError):
     """The rejection rules of the paper dropped every scene that was drawn."""
+
+
+class FootageError(RollcastError):
+    """A video or an image file cannot be read as asked."""
+
+
+class CropError(FootageError):
+    """A crop does not lie inside the picture."""
 
 
 class ClientError(RollcastError):

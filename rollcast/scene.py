@@ -77,7 +77,9 @@ class Scene(BaseModel):
                 raise ValueError(f"{name} has {count} entries for {self.objects} balls")
         for orientation in self.orientations_xyzw:
             if abs(math.hypot(*orientation) - 1) > 1e-3:
-                raise ValueError(f"orientations_xyzw has {orientation}, which is no unit quaternion")
+                raise ValueError(
+                    f"orientations_xyzw has {orientation}, which is no unit quaternion"
+                )
         if self.textured and self.objects > 1:
             raise ValueError("textured must be false with several balls: they are told by colour")
         bowl = {"axis_ratio"}

@@ -5,6 +5,7 @@ horizon T has the steps t = 0..T-1. "Error at T" is the error at step T - 1.
 """
 
 from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float
 

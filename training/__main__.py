@@ -8,12 +8,13 @@ import torch
 
 from rollcast.scene import SCENARIOS
 from training import calibration
-from training.artefact import load_exported, read_parameters
-from training.evaluate import evaluation_sets, markdown_table, metric_rows, run
+from training.artefact import load_exported, read_initial
+from training.evaluate import EvaluationSet, evaluation_sets, markdown_table, metric_rows, run
 from training.export import Trained, export, with_covariance
 from training.recipes import RECIPES
 from training.settings import runs_folder
 from training.simulate import Source, simulate_split
+from training.splits import Split
 from training.trainer import BEST, Pace, Trainer
 
 MODELS = Path("models")
@@ -93,8 +94,8 @@ def _calibrate(arguments: argparse.Namespace) -> None:
 
 def _train(arguments: argparse.Namespace) -> None:
     recipe = RECIPES[arguments.recipe]()
-    folder = runs_folder() / recipe.name
-    initial = None if arguments.init is None else read_parameters(arguments.init)
+    folder = runs_folder() / arguments.recipe
+    initial = None if arguments.init is None else read_initial(arguments.init)
     trainer = Trainer(recipe, folder, Pace(workers=1, simulators=arguments.workers), initial)
     error = trainer.run()
     print(f"best validation error at T={recipe.trained_horizon}: {error:.3f} px, kept in {folder}")
@@ -106,31 +107,31 @@ def _evaluate(arguments: argparse.Namespace) -> None:
         manifest.scenarios, manifest.objects, arguments.split, arguments.scenes, arguments.workers
     )
     forecasts = with_covariance(run(predictor, sets), manifest.covariance)
-    print(markdown_table(metric_rows(sets, forecasts)))
+    print(markdown_table(metric_rows(sets, forecasts, manifest.trained_horizon)))
 
 
 def _export(arguments: argparse.Namespace) -> None:
     recipe = RECIPES[arguments.recipe]()
-    best = torch.load(runs_folder() / recipe.name / BEST, map_location="cpu", weights_only=True)
+    best = torch.load(
+        runs_folder() / arguments.recipe / BEST, map_location="cpu", weights_only=True
+    )
     predictor = recipe.build()
     predictor.load_state_dict(best["weights"])
-    sets = {
-        split: evaluation_sets(recipe.scenarios, recipe.objects, split, scenes, arguments.workers)
-        for split, scenes in (
-            ("validation", recipe.validation_scenes),
-            ("test", arguments.scenes),
-        )
-    }
+
+    def sets(split: Split, scenes: int) -> list[EvaluationSet]:
+        return evaluation_sets(recipe.scenarios, recipe.objects, split, scenes, arguments.workers)
+
     folder = arguments.models / recipe.name / str(arguments.version)
     manifest = export(
         Trained(recipe, predictor, best["sequences"]),
         folder,
         arguments.version,
-        sets["validation"],
-        sets["test"],
+        sets("validation", recipe.validation_scenes),
+        sets("test", arguments.scenes),
     )
     for name, error in manifest.parity.max_abs_error.items():
-        print(f"{name}: torch and ONNX differ by {error} (tolerance {manifest.parity.tolerance[name]})")
+        tolerance = manifest.parity.tolerance[name]
+        print(f"{name}: torch and ONNX differ by {error} (tolerance {tolerance})")
     print(markdown_table([row for row in manifest.metrics if row.split == "test"]))
 
 

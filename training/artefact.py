@@ -1,4 +1,4 @@
-"""Reads parameters back from a deployed artefact, so that training goes on from what is committed."""
+"""Reads parameters back from a deployed artefact: training goes on from what is committed."""
 
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from onnx import numpy_helper
 from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, STEP_FILE, Manifest
 from training.models.predictor import Predictor
 from training.recipes import RECIPES
+from training.trainer import Initial
 
 
 def read_parameters(folder: Path) -> dict[str, torch.Tensor]:
@@ -20,6 +21,14 @@ def read_parameters(folder: Path) -> dict[str, torch.Tensor]:
             value = np.array(numpy_helper.to_array(initialiser))
             parameters[initialiser.name] = torch.from_numpy(value)
     return parameters
+
+
+def read_initial(folder: Path) -> Initial:
+    """Return what a training that goes on from an exported model starts with."""
+    manifest = Manifest.read(folder / MANIFEST_FILE)
+    sequences = manifest.training["sequences"]
+    assert isinstance(sequences, int)
+    return Initial(read_parameters(folder), sequences)
 
 
 def load_exported(folder: Path) -> tuple[Manifest, Predictor]:

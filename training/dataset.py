@@ -23,6 +23,7 @@ MAX_HORIZON = 40
 """Longest forecast that training or evaluation asks of a stored simulation (T_gen)."""
 
 LAST_START = STORED_FRAMES - FIRST_FORECAST_FRAME - MAX_HORIZON
+"""Last frame of a stored simulation at which such a window can begin."""
 
 
 class Window(NamedTuple):
@@ -112,6 +113,10 @@ class TrainingStream(IterableDataset[Batch]):
         seed: int,
         first_batch: int,
     ) -> None:
+        if max(latest_starts) > LAST_START:
+            raise ValueError(
+                f"latest_start is {max(latest_starts)}; at most {LAST_START} is stored"
+            )
         self._makers = [WindowMaker(group) for group in groups]
         self._sizes = [len(group) for group in groups]
         self._shares = np.asarray(shares) / np.sum(shares)

@@ -15,7 +15,6 @@ from training.models.predictor import Predictor
 from training.simulate import Recording, Source, load_recordings, simulate_split
 from training.splits import Split
 
-REPORTED_HORIZONS = (1, 10, 20, 40)
 LINE_POINTS = 10
 
 
@@ -40,31 +39,30 @@ def evaluation_sets(
         recordings = load_recordings(shards)
         history = np.stack([_first_positions(recording) for recording in recordings])
         windows = fixed_windows(recordings, MAX_HORIZON)
-        sets.append(
-            EvaluationSet(scenario, split, windows, line_through_ten(history, MAX_HORIZON))
-        )
+        sets.append(EvaluationSet(scenario, split, windows, line_through_ten(history, MAX_HORIZON)))
     return sets
 
 
 def _first_positions(recording: Recording) -> np.ndarray:
-    """True image positions [objects, 10, 2] of t = -3..6."""
+    """Return true image positions [objects, 10, 2] of t = -3..6."""
     scenario = recording.scene.scenario
     seen = recording.trajectory.window(TEST_START[scenario], LINE_POINTS)
     return camera_for(scenario, NETWORK_FRAME_SIZE).project(seen.positions_m).swapaxes(0, 1)
 
 
-def run(
-    predictor: Predictor, sets: Sequence[EvaluationSet]
-) -> Mapping[Scenario, Forecasts]:
+def run(predictor: Predictor, sets: Sequence[EvaluationSet]) -> Mapping[Scenario, Forecasts]:
     """Forecast every set up to T_gen."""
     device = next(predictor.parameters()).device
     return {part.scenario: forecast(predictor, part.windows, MAX_HORIZON, device) for part in sets}
 
 
 def metric_rows(
-    sets: Sequence[EvaluationSet], forecasts: Mapping[Scenario, Forecasts]
+    sets: Sequence[EvaluationSet],
+    forecasts: Mapping[Scenario, Forecasts],
+    trained_horizon: int,
 ) -> list[MetricRow]:
     """Make the rows of a model's table, one a scenario and reported horizon."""
+    horizons = sorted({1, trained_horizon // 2, trained_horizon, MAX_HORIZON})
     rows: list[MetricRow] = []
     for part in sets:
         made = forecasts[part.scenario]
@@ -74,7 +72,7 @@ def metric_rows(
         line = np.linalg.norm(part.line - truth, axis=-1).mean(axis=(0, 1))
         spin, perplexity = made.angular_velocity_rmse(), made.perplexity()
         coverage = made.calibration()
-        for horizon in REPORTED_HORIZONS:
+        for horizon in horizons:
             step = horizon - 1
             of_step = errors[:, :, step].mean(axis=1)
             rows.append(

@@ -5,6 +5,7 @@ training starts from.
 """
 
 import hashlib
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -40,6 +41,7 @@ from training.evaluate import EvaluationSet, markdown_table, metric_rows, run
 from training.metrics import Forecasts
 from training.models.predictor import Observation, Predictor, State
 from training.recipes import Recipe
+from training.settings import keep_runtime_silent
 
 STATE_NAMES = State._fields
 TOLERANCE: Mapping[OutputName, float] = {
@@ -59,17 +61,19 @@ LICENCE = "Apache-2.0"
 
 
 class EncoderGraph(Predictor):
-    """Frames to the state and the first observation, as positional tensors."""
+    """The encoder's graph. A predictor with another forward keeps its parameters' names."""
 
-    def forward(self, frames: Tensor) -> tuple[Tensor, ...]:
+    def forward(self, frames: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Frames to the state and the first observation, as positional tensors."""
         state = self.start(frames)
         return *state, *_present(self.observe(state))
 
 
 class StepGraph(Predictor):
-    """State to the next state and its observation, as positional tensors."""
+    """The step's graph."""
 
-    def forward(self, s: Tensor, p: Tensor) -> tuple[Tensor, ...]:
+    def forward(self, s: Tensor, p: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """State to the next state and its observation, as positional tensors."""
         state = self.advance(State(s, p))
         return *state, *_present(self.observe(state))
 
@@ -113,8 +117,8 @@ def export(
     parity = measure_parity(predictor, folder, windows, horizons=(horizon, MAX_HORIZON))
     on_validation = run(predictor, validation)
     covariance = fit_covariance(on_validation)
-    rows = metric_rows(validation, with_covariance(on_validation, covariance))
-    rows += metric_rows(test, with_covariance(run(predictor, test), covariance))
+    rows = metric_rows(validation, with_covariance(on_validation, covariance), horizon)
+    rows += metric_rows(test, with_covariance(run(predictor, test), covariance), horizon)
     chosen = [
         row.position_error_px
         for row in rows
@@ -143,7 +147,9 @@ def export(
             for name, tensor in zip(STATE_NAMES, predictor.start(sample), strict=True)
         ),
         outputs=tuple(
-            Output(name=name, shape=(trained.recipe.objects, *OUTPUT_SHAPES[name]), unit=UNITS[name])
+            Output(
+                name=name, shape=(trained.recipe.objects, *OUTPUT_SHAPES[name]), unit=UNITS[name]
+            )
             for name in observation
         ),
         covariance=covariance,
@@ -214,10 +220,13 @@ def _write_graph(
 ) -> None:
     # Ordinary tensors: those made in inference mode cannot be traced.
     arguments = tuple(argument.clone() for argument in arguments)
-    torch.onnx.export(
-        module.eval(), arguments, path, input_names=inputs, output_names=outputs,
-        dynamic_shapes=dynamic, dynamo=True, external_data=False, verbose=False,
-    )  # fmt: skip
+    with warnings.catch_warnings():
+        # The state's tensors share the batch axis; torch warns that it keeps one name for it.
+        warnings.filterwarnings("ignore", message="# The axis name")
+        torch.onnx.export(
+            module.eval(), arguments, path, input_names=inputs, output_names=outputs,
+            dynamic_shapes=dynamic, dynamo=True, external_data=False, verbose=False,
+        )  # fmt: skip
     onnx.checker.check_model(onnx.load(path))
 
 
@@ -225,8 +234,8 @@ def _write_golden(predictor: Predictor, frames: Tensor, horizon: int, folder: Pa
     with torch.inference_mode():
         rollout = predictor(frames, horizon)
     values = zip(_observation_of(predictor, frames), _present(rollout), strict=True)
-    arrays = {name: value.numpy() for name, value in values}
-    np.savez_compressed(folder / GOLDEN_FILE, frames=frames.numpy(), **arrays)
+    arrays: dict[str, np.ndarray] = {name: value.numpy() for name, value in values}
+    np.savez_compressed(folder / GOLDEN_FILE, allow_pickle=False, frames=frames.numpy(), **arrays)
 
 
 def measure_parity(
@@ -245,13 +254,17 @@ def measure_parity(
         for horizon in horizons:
             with torch.inference_mode():
                 expected = _present(predictor(batch, horizon))
-            rolled = _roll_onnx(folder, batch.numpy(), horizon, list(_observation_of(predictor, batch)))
+            rolled = _roll_onnx(
+                folder, batch.numpy(), horizon, list(_observation_of(predictor, batch))
+            )
             for (name, value), truth in zip(rolled.items(), expected, strict=True):
                 difference = float(np.abs(value - truth.numpy()).max())
                 worst[name] = max(worst.get(name, 0.0), difference)
     for name, difference in worst.items():
         if not difference <= TOLERANCE[name]:
-            raise ValueError(f"{name}: torch and ONNX differ by {difference}, over {TOLERANCE[name]}")
+            raise ValueError(
+                f"{name}: torch and ONNX differ by {difference}, over {TOLERANCE[name]}"
+            )
     return Parity(
         max_abs_error={name: float(f"{value:.2e}") for name, value in worst.items()},
         tolerance={name: TOLERANCE[name] for name in worst},
@@ -261,7 +274,7 @@ def measure_parity(
 def _roll_onnx(
     folder: Path, frames: np.ndarray, horizon: int, outputs: list[OutputName]
 ) -> dict[OutputName, np.ndarray]:
-    # Imported here: ONNX Runtime reads its telemetry switch at import (decision 0002).
+    keep_runtime_silent()
     import onnxruntime
 
     encoder = onnxruntime.InferenceSession(folder / ENCODER_FILE)
@@ -316,7 +329,7 @@ def with_covariance(
 def _served_covariances(made: Forecasts, covariance: CovarianceSource) -> np.ndarray:
     if covariance.empirical is not None:
         by_step = np.array(covariance.empirical, dtype=np.float32)
-        return np.broadcast_to(by_step, (*made.positions.shape[:2], *by_step.shape))
+        return np.tile(by_step, (*made.positions.shape[:2], 1, 1, 1))
     assert made.covariances is not None
     assert covariance.variance_scale is not None
     scale = np.array(covariance.variance_scale, dtype=np.float32)
@@ -329,7 +342,7 @@ def model_card(
     """Model card in Markdown, with the measured error whatever it is."""
     recipe = trained.recipe
     source = {
-        "predicted": "predicted by the network, times a variance scale per step fitted on validation",
+        "predicted": "predicted by the network, times a scale per step fitted on validation",
         "empirical": "the covariance of the network's own validation residuals at each step",
     }[covariance.source]
     scenes = ", ".join(f"{part.scenes} {part.source.name}" for part in recipe.data)

@@ -4,6 +4,11 @@ import os
 from pathlib import Path
 
 
+def keep_runtime_silent() -> None:
+    """Stop ONNX Runtime from reporting its use (decision 0002); call it before its import."""
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+
+
 def runs_folder() -> Path:
     """Folder of data sets and checkpoints: ROLLCAST_RUNS, or ``runs`` in the working directory."""
     return Path(os.environ.get("ROLLCAST_RUNS", "runs"))

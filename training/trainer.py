@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch.utils.data import DataLoader
 from torch.utils.tensorboard import SummaryWriter
@@ -16,7 +17,7 @@ from tqdm import tqdm
 from training.dataset import Batch, TrainingStream, Window, fixed_windows
 from training.metrics import forecast
 from training.models.predictor import Observation, Predictor
-from training.recipes import Recipe, Stage
+from training.recipes import Milestone, Recipe
 from training.simulate import Source, load_recordings, simulate_split
 
 CHECKPOINT = "checkpoint.pt"
@@ -35,6 +36,14 @@ class Pace:
     """Processes that simulate missing scenes."""
 
 
+@dataclass(frozen=True)
+class Initial:
+    """Parameters by name, and the training sequences that they have seen."""
+
+    parameters: dict[str, torch.Tensor]
+    sequences: int
+
+
 class Trainer:
     """One training run in a folder of its own.
 
@@ -43,7 +52,7 @@ class Trainer:
     folder
         Where checkpoints, the best weights and TensorBoard events go.
     initial
-        Parameters to start from, by name; those that do not fit the network are an error.
+        What to start from; parameters that the network does not share stay untrained.
     """
 
     def __init__(
@@ -51,7 +60,7 @@ class Trainer:
         recipe: Recipe,
         folder: Path,
         pace: Pace | None = None,
-        initial: dict[str, torch.Tensor] | None = None,
+        initial: Initial | None = None,
     ) -> None:
         torch.manual_seed(recipe.seed)
         self.recipe = recipe
@@ -60,7 +69,8 @@ class Trainer:
         self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         self.predictor = recipe.build()
         if initial is not None:
-            load_fitting(self.predictor, initial)
+            load_fitting(self.predictor, initial.parameters)
+        self._earlier_sequences = 0 if initial is None else initial.sequences
         # torch's own annotations leave memory_format out.
         self.predictor.to(self.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self._average = torch.optim.swa_utils.AveragedModel(
@@ -68,7 +78,11 @@ class Trainer:
             multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(recipe.average_decay),
         )
         self._optimiser = torch.optim.AdamW(
-            self.predictor.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay
+            self.predictor.parameters(),
+            recipe.learning_rate,
+            # The second moment has to follow gradients that grow with the horizon.
+            betas=(0.9, 0.95),
+            weight_decay=recipe.weight_decay,
         )
         self.batches = 0
         self._best_error = math.inf
@@ -184,7 +198,7 @@ class Trainer:
     def _weights(self) -> dict[str, Any]:
         return {
             "weights": self.averaged().state_dict(),
-            "sequences": self.sequences,
+            "sequences": self._earlier_sequences + self.sequences,
             "validation_error_px": self._best_error,
         }
 
@@ -235,11 +249,11 @@ def validation_windows(recipe: Recipe, simulators: int) -> dict[Source, list[Win
     }
 
 
-def horizon_at(curriculum: tuple[Stage, ...], spent: float) -> int:
+def horizon_at(curriculum: tuple[Milestone, ...], spent: float) -> int:
     """Horizon to train on when a share ``spent`` of the budget is gone."""
-    return next(
-        (stage.horizon for stage in curriculum if spent < stage.until), curriculum[-1].horizon
-    )
+    shares = [milestone.spent for milestone in curriculum]
+    horizons = [milestone.horizon for milestone in curriculum]
+    return int(np.interp(spent, shares, horizons))
 
 
 def learning_rate_factor(spent: float, warm_up: float) -> float:
@@ -250,12 +264,20 @@ def learning_rate_factor(spent: float, warm_up: float) -> float:
 
 
 def load_fitting(predictor: Predictor, initial: dict[str, torch.Tensor]) -> list[str]:
-    """Copy the parameters whose names and shapes fit; return the names that were taken over."""
+    """Copy the parameters whose names and shapes fit; return the names that were taken over.
+
+    Raises
+    ------
+    ValueError
+        When none fits.
+    """
     own = predictor.state_dict()
     fitting = {
         name: value for name, value in initial.items()
         if name in own and own[name].shape == value.shape
     }  # fmt: skip
+    if not fitting:
+        raise ValueError("the initial parameters share no name and shape with the network")
     predictor.load_state_dict(own | fitting)
     return sorted(fitting)
 

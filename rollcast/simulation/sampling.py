@@ -64,6 +64,9 @@ def draw_scene(
         "rotation_rad": generator.uniform(-math.pi, math.pi),
     }
     chosen = _validated(fixed)
+    for name in ("scenario", "seed"):
+        if chosen.get(name, fields[name]) != fields[name]:
+            raise SceneParametersError(name, chosen[name], f"{fields[name]!r} as in the call")
     fields |= chosen
     if scenario == "heightfield":
         fields |= _draw_landscape(generator) | chosen
@@ -89,13 +92,15 @@ def draw_scene(
 
 
 def _validated(fixed: Mapping[str, object]) -> dict[str, Any]:
-    """Check each fixed field alone, before other draws depend on it."""
+    """Check each fixed field alone, before other draws depend on it. None leaves a field free."""
     checked: dict[str, Any] = {}
     for name, value in fixed.items():
         field = Scene.model_fields.get(name)
         if field is None:
             known = ", ".join(Scene.model_fields)
             raise SceneParametersError(name, value, f"one of the scene parameters {known}")
+        if value is None:
+            continue
         try:
             kind: Any = field.annotation
             if field.metadata:

@@ -3,7 +3,6 @@
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,12 +13,14 @@ import pytest
 from rollcast.client import Client
 
 ROOT = Path(__file__).resolve().parents[2]
+SERVICE_PYTHON = ROOT / ".venv/service/bin/python"
+"""What `make serve` runs: the environment without torch."""
 
 
 def start_service(log: IO[str] | int = subprocess.DEVNULL) -> tuple[subprocess.Popen[str], str]:
     """Start the service on a free port; return the process and its address."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "service", "--port", "0"],
+        [SERVICE_PYTHON, "-m", "service", "--port", "0"],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=log,

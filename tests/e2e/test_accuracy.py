@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rollcast.trajectory import FIRST_FORECAST_FRAME
+from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.splits import seeds
 
 SCENES = 60
@@ -26,10 +26,7 @@ def test_posnet_keeps_its_promise_on_test_scenes(client, scenario, limit_10, lim
 
 def posnet_distances(client, scenario: str, seed: int) -> np.ndarray:
     """Distance between forecast and truth at every step, in 128-pixel units."""
-    seen = client.simulate(scenario, seed=seed, steps=4)
-    truth = client.simulate(
-        scenario, seed=seed, steps=FIRST_FORECAST_FRAME + HORIZON, include_frames=False
-    )
-    forecast = client.predict(seen.frames, horizon=HORIZON, model="posnet")
-    difference = forecast.positions[0] - truth.positions[0, FIRST_FORECAST_FRAME:]
+    sequence = client.simulate(scenario, seed=seed, steps=FIRST_FORECAST_FRAME + HORIZON)
+    forecast = client.predict(sequence.frames[:OBSERVED_FRAMES], horizon=HORIZON, model="posnet")
+    difference = forecast.positions[0] - sequence.positions[0, FIRST_FORECAST_FRAME:]
     return np.linalg.norm(difference, axis=-1)

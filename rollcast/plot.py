@@ -1,0 +1,168 @@
+"""Pictures of a forecast over the frames that it forecasts.
+
+Colours are of the palette by Okabe and Ito, which colour-blind readers can tell apart, on a dark
+casing that keeps them legible on any footage.
+"""
+
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from rollcast.trajectory import FRAME_RATE_HZ
+
+OVERVIEW_PX = 720
+PANEL_PX = OVERVIEW_PX // 2
+"""Sides of the large picture and of the small ones beside it."""
+STEPS_BETWEEN_MARKS = 10
+"""Along the path, where no later frame says which moments matter."""
+SIGMAS = 2.0
+"""Size of the ellipses, standard deviations."""
+
+OVERSAMPLING = 2
+PALETTE = ("#E69F00", "#56B4E9", "#CC79A7", "#F0E442", "#009E73")
+"""One colour an object: orange, sky blue, reddish purple, yellow, bluish green."""
+CASING = "#000000"
+PATH_PX = 3
+ELLIPSE_PX = 1
+CASING_PX = 2
+CROSS_PX = 7
+FONT_PX = 20
+
+CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 73)) for f in (np.cos, np.sin)])
+
+
+class ForecastPath(Protocol):
+    """What of a forecast is drawn; ``rollcast.client.Forecast`` has it."""
+
+    @property
+    def positions(self) -> Float[np.ndarray, "objects T 2"]:
+        """Pixels of the frames."""
+        ...
+
+    @property
+    def covariances(self) -> Float[np.ndarray, "objects T 2 2"]:
+        """Square pixels."""
+        ...
+
+    @property
+    def times_s(self) -> Float[np.ndarray, " T"]:
+        """Seconds after the last observed frame."""
+        ...
+
+
+def draw_forecast(
+    frames: UInt8[np.ndarray, "frames S S 3"],
+    times_s: Float[np.ndarray, " frames"],
+    forecast: ForecastPath,
+) -> Image.Image:
+    """Draw a forecast over the last observed frame and, where it has them, over later ones.
+
+    The large picture is the last observed frame with the whole path; crosses and ellipses of two
+    standard deviations show the forecast at the times of the later frames. Each later frame stands
+    beside it with the path until then and the forecast for its own time.
+
+    Parameters
+    ----------
+    frames
+        RGB; the last observed frame, then any later ones.
+    times_s
+        Seconds after the last observed frame, of every frame: 0, then ascending.
+    forecast
+        In pixels of these frames.
+
+    Returns
+    -------
+    PIL.Image.Image
+        RGB, 720 pixels high, wider by 360 for every two later frames.
+
+    Raises
+    ------
+    ValueError
+        When a frame is more than half a step later than the forecast's last step.
+    """
+    end_s = float(forecast.times_s[-1])
+    if times_s[-1] > end_s + 0.5 / FRAME_RATE_HZ:
+        raise ValueError(f"a frame of {times_s[-1]:.3f} s, the forecast ends at {end_s:.3f} s")
+    marks_s = times_s[1:] if len(times_s) > 1 else forecast.times_s[::STEPS_BETWEEN_MARKS][1:]
+    columns = len(frames) // 2
+    sheet = Image.new("RGB", (OVERVIEW_PX + columns * PANEL_PX, OVERVIEW_PX))
+    overview = _Panel(frames[0], OVERVIEW_PX)
+    overview.forecast(forecast, end_s, marks_s)
+    overview.title(f"last frame seen, forecast to +{end_s:.2f} s")
+    sheet.paste(overview.image(), (0, 0))
+    for index, (frame, time_s) in enumerate(zip(frames[1:], times_s[1:], strict=True)):
+        panel = _Panel(frame, PANEL_PX)
+        panel.forecast(forecast, float(time_s), np.array([time_s]))
+        panel.title(f"+{time_s:.2f} s")
+        row, column = divmod(index, columns)
+        sheet.paste(panel.image(), (OVERVIEW_PX + column * PANEL_PX, row * PANEL_PX))
+    return sheet
+
+
+class _Panel:
+    """One frame, enlarged or reduced, that is drawn on in pixels of the frame."""
+
+    def __init__(self, frame: UInt8[np.ndarray, "S S 3"], side_px: int) -> None:
+        self._side = side_px * OVERSAMPLING
+        self._scale = self._side / len(frame)
+        self._canvas = Image.fromarray(frame).resize(
+            (self._side, self._side), Image.Resampling.BICUBIC
+        )
+        self._draw = ImageDraw.Draw(self._canvas)
+
+    def forecast(
+        self, forecast: ForecastPath, until_s: float, marks_s: Float[np.ndarray, " marks"]
+    ) -> None:
+        """Draw every object's path until a time, crosses and ellipses at some."""
+        for index, (path, covariances) in enumerate(
+            zip(forecast.positions, forecast.covariances, strict=True)
+        ):
+            color = PALETTE[index % len(PALETTE)]
+            until = path[forecast.times_s <= until_s]
+            self._line(np.vstack([until, _at(until_s, forecast.times_s, path)]), color, PATH_PX)
+            for mark_s in marks_s:
+                position = _at(mark_s, forecast.times_s, path)
+                covariance = _at(mark_s, forecast.times_s, covariances)
+                self._line(_ellipse(position, covariance), color, ELLIPSE_PX)
+                self._cross(position, color)
+
+    def title(self, text: str) -> None:
+        """Write into the upper left corner."""
+        font = ImageFont.load_default(FONT_PX * OVERSAMPLING)
+        margin = FONT_PX * OVERSAMPLING // 4
+        left, top, right, bottom = self._draw.textbbox((2 * margin, 2 * margin), text, font)
+        box = (left - margin, top - margin, right + margin, bottom + margin)
+        self._draw.rectangle(box, fill="black")
+        self._draw.text((2 * margin, 2 * margin), text, "white", font)
+
+    def image(self) -> Image.Image:
+        """Return the finished picture."""
+        return self._canvas.reduce(OVERSAMPLING)
+
+    def _line(self, points: Float[np.ndarray, "points 2"], color: str, width_px: int) -> None:
+        corners = [(float(x), float(y)) for x, y in points * self._scale]
+        for line_color, width in ((CASING, width_px + CASING_PX), (color, width_px)):
+            self._draw.line(corners, line_color, width * OVERSAMPLING, joint="curve")
+
+    def _cross(self, position: Float[np.ndarray, " 2"], color: str) -> None:
+        arm = CROSS_PX * OVERSAMPLING / self._scale
+        for direction in (np.array([arm, arm]), np.array([arm, -arm])):
+            self._line(np.stack([position - direction, position + direction]), color, PATH_PX)
+
+
+def _at(
+    time_s: float, times_s: Float[np.ndarray, " T"], values: Float[np.ndarray, "T *axes"]
+) -> Float[np.ndarray, " *axes"]:
+    """Return values at a time between steps."""
+    step = np.interp(time_s, times_s, np.arange(len(times_s)))
+    before, after = int(np.floor(step)), int(np.ceil(step))
+    return values[before] + (step - before) * (values[after] - values[before])
+
+
+def _ellipse(
+    centre: Float[np.ndarray, " 2"], covariance: Float[np.ndarray, "2 2"]
+) -> Float[np.ndarray, "points 2"]:
+    variances, axes = np.linalg.eigh(covariance)
+    return centre + (axes * (SIGMAS * np.sqrt(np.maximum(variances, 0))) @ CIRCLE).T

@@ -1,0 +1,205 @@
+"""Frames of a video file by presentation time (extra ``video``).
+
+Times are seconds after the video's first frame. Pictures are turned as players show them.
+"""
+
+import math
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from itertools import chain, islice
+from pathlib import Path
+from typing import NamedTuple
+
+import av
+import numpy as np
+from av.container import InputContainer
+from av.error import FFmpegError
+from av.video.frame import VideoFrame
+from av.video.stream import VideoStream
+from jaxtyping import UInt8
+
+from rollcast.errors import FootageError
+from rollcast.footage import Footage, SquareCrop, cut_out
+from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
+
+LOOK_AHEAD = 8
+"""Frames after the first by which the distance between frames is measured."""
+TIME_TOLERANCE_S = 0.5 / FRAME_RATE_HZ
+"""How long after a video's last frame a time still counts as shown by it: half a step."""
+
+
+class _Moment(NamedTuple):
+    time_s: float
+    picture: VideoFrame
+
+
+def read_frames(
+    path: Path | str,
+    *,
+    start_s: float = 0.0,
+    frames: int = OBSERVED_FRAMES,
+    crop: SquareCrop | None = None,
+    frame_rate: float = FRAME_RATE_HZ,
+) -> Footage:
+    """Read frames that follow each other evenly, from the frame nearest to a start.
+
+    A video's frames cannot be moved: of every m-th frame the m is taken whose rate comes nearest
+    to the one asked for, and the answer's ``frame_rate`` tells the truth (a 30-fps clip gives its
+    consecutive frames, a 120-fps clip every third). No frame comes twice.
+
+    Parameters
+    ----------
+    path
+        Any video that PyAV decodes.
+    start_s
+        Time of the first frame, seconds.
+    frames
+        How many, at least two.
+    crop
+        By default the largest square in the middle.
+    frame_rate
+        Frames a second that are asked for.
+
+    Raises
+    ------
+    FootageError
+        When the file cannot be read as a video, or ends before the last frame that is asked for.
+    CropError
+        When the crop does not lie inside the picture.
+    """
+    if frames < 2:
+        raise ValueError(f"frames is {frames}, expected at least 2")
+    with _opened(path) as container:
+        moments = _moments_from(container, path, start_s)
+        head = list(islice(moments, 2 + LOOK_AHEAD))
+        if len(head) > 1 and head[1].time_s - start_s < start_s - head[0].time_s:
+            head.pop(0)
+        spacing_s = _spacing([moment.time_s for moment in head], frame_rate)
+        wanted = [head[0].time_s + index * spacing_s for index in range(frames)]
+        taken = list(_nearest(chain(head, moments), wanted))
+        if len(taken) < frames:
+            raise FootageError(
+                f"{path} ends at {taken[-1].time_s:.3f} s; {frames} frames from {start_s:g} s "
+                "do not fit"
+            )
+        return _footage(taken, crop)
+
+
+def frames_at(
+    path: Path | str, times_s: Sequence[float], *, crop: SquareCrop | None = None
+) -> Footage:
+    """Read the frames nearest to some times; the answer holds their real times.
+
+    Parameters
+    ----------
+    path
+        Any video that PyAV decodes.
+    times_s
+        Ascending, seconds. Those after the last frame are left out, and no frame comes twice, so
+        the answer may be shorter.
+    crop
+        By default the largest square in the middle.
+
+    Raises
+    ------
+    FootageError
+        When the file cannot be read as a video, or ends before the first time.
+    CropError
+        When the crop does not lie inside the picture.
+    """
+    with _opened(path) as container:
+        moments = _moments_from(container, path, times_s[0])
+        taken = list(_nearest(moments, times_s))
+        if not taken:
+            raise FootageError(f"{path} ends before {times_s[0]:.3f} s")
+        return _footage(taken, crop)
+
+
+@contextmanager
+def _opened(path: Path | str) -> Generator[InputContainer]:
+    """Open a file, never an address or a pattern of names, and translate what goes wrong."""
+    try:
+        with Path(path).open("rb") as file, av.open(file, "r") as container:
+            yield container
+    except OSError as error:
+        raise FootageError(f"{path} cannot be read: {error.strerror}") from error
+    except FFmpegError as error:
+        raise FootageError(f"{path} cannot be read as a video: {error.strerror}") from error
+
+
+def _moments_from(container: InputContainer, path: Path | str, start_s: float) -> Iterator[_Moment]:
+    """Decode from the last frame at or before a time, in the order of presentation."""
+    if not math.isfinite(start_s) or start_s < 0:
+        raise FootageError(f"the start is {start_s:g} s, expected 0 or later")
+    if not container.streams.video:
+        raise FootageError(f"{path} has no video in it")
+    stream = container.streams.video[0]
+    moments = _moments(container, stream)
+    if start_s > 0 and stream.time_base is not None:
+        with suppress(FFmpegError):  # where a container cannot seek, all of it is decoded
+            container.seek(
+                (stream.start_time or 0) + int(start_s / stream.time_base), stream=stream
+            )
+        first = next(moments, None)
+        if first is None or first.time_s > start_s:  # the container's index is poor
+            container.seek(stream.start_time or 0, stream=stream)
+            moments = _moments(container, stream)
+        else:
+            moments = chain([first], moments)
+    before = next(moments, None)
+    if before is None:
+        raise FootageError(f"{path} has no frame with a time")
+    for moment in moments:
+        if moment.time_s > start_s:
+            return chain([before, moment], moments)
+        before = moment
+    return iter([before])
+
+
+def _moments(container: InputContainer, stream: VideoStream) -> Iterator[_Moment]:
+    last_s = -math.inf
+    for picture in container.decode(stream):
+        if picture.pts is not None and picture.time_base is not None:
+            time_s = float((picture.pts - (stream.start_time or 0)) * picture.time_base)
+            if time_s > last_s:
+                yield _Moment(time_s, picture)
+                last_s = time_s
+
+
+def _spacing(times_s: Sequence[float], frame_rate: float) -> float:
+    """Return the multiple of the distance between frames whose rate is nearest to one asked for."""
+    if len(times_s) < 2:
+        return 1 / frame_rate
+    distance_s = float(np.median(np.diff(times_s)))
+    fewer = max(1, math.floor(1 / (frame_rate * distance_s)))
+    stride = min(
+        (fewer, fewer + 1), key=lambda stride: abs(math.log(stride * distance_s * frame_rate))
+    )
+    return stride * distance_s
+
+
+def _nearest(moments: Iterable[_Moment], wanted_s: Sequence[float]) -> Iterator[_Moment]:
+    """Yield the frame nearest to each of some ascending times, none twice, until the video ends."""
+    moments = iter(moments)
+    following = next(moments, None)
+    for time_s in wanted_s:
+        best, following = following, next(moments, None)
+        while (
+            best is not None
+            and following is not None
+            and abs(following.time_s - time_s) <= abs(best.time_s - time_s)
+        ):
+            best, following = following, next(moments, None)
+        if best is None or (following is None and time_s > best.time_s + TIME_TOLERANCE_S):
+            return
+        yield best
+
+
+def _footage(moments: Sequence[_Moment], crop: SquareCrop | None) -> Footage:
+    pictures = [_pixels(moment.picture) for moment in moments]
+    return cut_out(pictures, [moment.time_s for moment in moments], crop)
+
+
+def _pixels(picture: VideoFrame) -> UInt8[np.ndarray, "height width 3"]:
+    pixels = np.asarray(picture.to_ndarray(format="rgb24"), np.uint8)
+    return np.rot90(pixels, picture.rotation // 90)

@@ -1,0 +1,70 @@
+"""Export of an untrained network: what is proved does not depend on how good it is."""
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, Manifest
+from training.artefact import load_exported, read_initial, read_parameters
+from training.evaluate import evaluation_sets
+from training.export import Trained, export, measure_parity
+from training.trainer import load_fitting
+
+
+@pytest.fixture(scope="module", params=["posnet", "probnet"])
+def exported(request, runs, tmp_path_factory):
+    from tests.training.conftest import tiny
+    from training.recipes import RECIPES
+
+    recipe = tiny(RECIPES[request.param]())
+    torch.manual_seed(5)
+    predictor = recipe.build()
+    sets = evaluation_sets(recipe.scenarios, 1, "validation", recipe.validation_scenes, 1)
+    folder = tmp_path_factory.mktemp("models") / recipe.name / "1"
+    export(Trained(recipe, predictor, 0), folder, 1, sets, sets)
+    return recipe, predictor, folder, sets
+
+
+def test_manifest_reads_back_and_names_every_file(exported):
+    recipe, _, folder, _ = exported
+    manifest = Manifest.read(folder / MANIFEST_FILE)
+    assert manifest.name == recipe.name
+    assert all((folder / name).exists() for name in manifest.files)
+    assert all(
+        manifest.parity.max_abs_error[name] <= tolerance
+        for name, tolerance in manifest.parity.tolerance.items()
+    )
+    assert manifest.covariance.source == ("predicted" if recipe.name == "probnet" else "empirical")
+
+
+def test_a_network_that_differs_from_its_export_is_found_out(exported):
+    recipe, predictor, folder, sets = exported
+    other = recipe.build()
+    other.load_state_dict(predictor.state_dict())
+    with torch.no_grad():
+        next(other.transition.parameters()).add_(0.05)
+        next(other.encoder.parameters()).add_(0.05)
+    with pytest.raises(ValueError, match="differ by"):
+        measure_parity(other.eval(), folder, sets[0].windows[:2], horizons=(4,))
+
+
+def test_parameters_come_back_from_the_graphs(exported):
+    recipe, predictor, folder, _ = exported
+    stored = read_parameters(folder)
+    for name, value in predictor.state_dict().items():
+        torch.testing.assert_close(stored[name], value, rtol=0, atol=0)
+    fresh = recipe.build()
+    assert set(load_fitting(fresh, stored)) == set(predictor.state_dict())
+    assert read_initial(folder).sequences == 0
+    _, rebuilt = load_exported(folder)
+    torch.testing.assert_close(rebuilt.state_dict(), predictor.state_dict(), rtol=0, atol=0)
+
+
+def test_any_batch_size_runs(exported):
+    _, _, folder, sets = exported
+    session = onnxruntime.InferenceSession(folder / ENCODER_FILE)
+    frames = np.stack([window.frames for window in sets[0].windows[:5]])
+    for size in (1, 2, 5):
+        outputs = session.run(["positions"], {"frames": frames[:size]})
+        assert outputs[0].shape == (size, 1, 2)

@@ -1,0 +1,53 @@
+import pytest
+import torch
+
+from training.losses import DistanceLoss, LikelihoodLoss, negative_log_likelihood, step_weights
+from training.models.predictor import Observation
+
+
+def test_likelihood_is_that_of_a_bivariate_normal():
+    generator = torch.Generator().manual_seed(0)
+    mean, truth = torch.randn(2, 30, 2, generator=generator)
+    root = torch.randn(30, 2, 2, generator=generator)
+    covariance = root @ root.mT + 0.1 * torch.eye(2)
+    normal = torch.distributions.MultivariateNormal(mean, covariance)
+    torch.testing.assert_close(
+        negative_log_likelihood(mean, covariance, truth), -normal.log_prob(truth)
+    )
+
+
+def test_perplexity_of_a_rayleigh_error_is_the_papers():
+    # A mean error of 2.9 px is sigma = 2.9 / sqrt(pi / 2) an axis; the paper prints 4.5 nats.
+    sigma = 2.9 / (torch.pi / 2) ** 0.5
+    truth = sigma * torch.randn(200_000, 2, generator=torch.Generator().manual_seed(0))
+    covariance = (sigma**2 * torch.eye(2)).expand(200_000, 2, 2)
+    nll = negative_log_likelihood(torch.zeros_like(truth), covariance, truth).mean()
+    assert float(nll) == pytest.approx(4.52, abs=0.01)
+
+
+def test_step_weights_halve_where_they_say_and_average_one():
+    weights = step_weights(20, halving=4)
+    assert float(weights.mean()) == pytest.approx(1)
+    assert float(weights[4] / weights[0]) == pytest.approx(0.5)
+
+
+def perfect(positions, spins, covariances=None):
+    return Observation(positions, covariances, spins)
+
+
+def test_losses_are_least_at_the_truth():
+    positions = torch.rand(2, 1, 5, 2) * 128
+    spins = torch.randn(2, 1, 5, 3)
+    assert DistanceLoss()(perfect(positions, spins), positions, spins) == pytest.approx(0, abs=1e-6)
+    off = perfect(positions + 3, spins)
+    assert DistanceLoss()(off, positions, spins) > 3
+
+    covariances = torch.eye(2).expand(2, 1, 5, 2, 2)
+    likelihood = LikelihoodLoss(DistanceLoss(), halving=4)
+    at_truth = likelihood(perfect(positions, spins, covariances), positions, spins)
+    assert likelihood(perfect(positions + 1, spins, covariances), positions, spins) > at_truth
+
+
+def test_without_angular_velocity_only_positions_count():
+    positions, spins = torch.rand(2, 1, 5, 2), torch.randn(2, 1, 5, 3)
+    assert DistanceLoss()(perfect(positions, None), positions, spins) == pytest.approx(0, abs=1e-6)
