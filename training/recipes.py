@@ -147,7 +147,7 @@ def probnet() -> Recipe:
         data=ONE_BALL_DATA,
         scenarios=("hemisphere", "ellipsoid", "heightfield"),
         objects=1,
-        sequences=26_000,
+        sequences=14_000,
         curriculum=(Milestone(0.1, 10), Milestone(0.3, 20)),
         learning_rate=6e-4,
         average_decay=0.995,

@@ -128,6 +128,6 @@ def test_bad_requests(simulator, case):
 
 
 def test_a_scene_that_the_rules_drop_is_refused(simulator):
-    up = {"velocities_m_s": [[0, 0, 40]]}
+    up = {"velocities_m_s": [[0, 0, 14]]}
     response = simulator.post("/simulate", json=SCENE | up)
     assert (response.status_code, response.json()["type"]) == (422, "/problems/scene-rejected")
