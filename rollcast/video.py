@@ -131,24 +131,17 @@ def _moments_from(container: InputContainer, path: Path | str, start_s: float) -
     """Decode from the last frame at or before a time, in the order of presentation."""
     if not math.isfinite(start_s) or start_s < 0:
         raise FootageError(f"the start is {start_s:g} s, expected 0 or later")
-    if not container.streams.video:
-        raise FootageError(f"{path} has no video in it")
-    stream = container.streams.video[0]
-    moments = _moments(container, stream)
+    origin = _first_pts(path)
+    stream = _video_stream(container, path)
     if start_s > 0 and stream.time_base is not None:
         with suppress(FFmpegError):  # where a container cannot seek, all of it is decoded
-            container.seek(
-                (stream.start_time or 0) + int(start_s / stream.time_base), stream=stream
-            )
-        first = next(moments, None)
-        if first is None or first.time_s > start_s:  # the container's index is poor
-            container.seek(stream.start_time or 0, stream=stream)
-            moments = _moments(container, stream)
-        else:
-            moments = chain([first], moments)
+            container.seek(origin + int(start_s / stream.time_base), stream=stream)
+    moments = _moments(container, stream, origin)
     before = next(moments, None)
-    if before is None:
-        raise FootageError(f"{path} has no frame with a time")
+    if before is None or before.time_s > start_s:  # the container's index is poor
+        container.seek(origin, stream=stream)
+        moments = _moments(container, stream, origin)
+        before = next(moments)
     for moment in moments:
         if moment.time_s > start_s:
             return chain([before, moment], moments)
@@ -156,11 +149,26 @@ def _moments_from(container: InputContainer, path: Path | str, start_s: float) -
     return iter([before])
 
 
-def _moments(container: InputContainer, stream: VideoStream) -> Iterator[_Moment]:
+def _first_pts(path: Path | str) -> int:
+    """Return when a video's first frame is shown, which its header may not tell."""
+    with _opened(path) as container:
+        for picture in container.decode(_video_stream(container, path)):
+            if picture.pts is not None:
+                return picture.pts
+    raise FootageError(f"{path} has no frame with a time")
+
+
+def _video_stream(container: InputContainer, path: Path | str) -> VideoStream:
+    if not container.streams.video:
+        raise FootageError(f"{path} has no video in it")
+    return container.streams.video[0]
+
+
+def _moments(container: InputContainer, stream: VideoStream, origin: int) -> Iterator[_Moment]:
     last_s = -math.inf
     for picture in container.decode(stream):
         if picture.pts is not None and picture.time_base is not None:
-            time_s = float((picture.pts - (stream.start_time or 0)) * picture.time_base)
+            time_s = float((picture.pts - origin) * picture.time_base)
             if time_s > last_s:
                 yield _Moment(time_s, picture)
                 last_s = time_s

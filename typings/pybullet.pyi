@@ -11,6 +11,7 @@ _Vector3Like: TypeAlias = Sequence[float] | NDArray[np.floating[Any]]
 
 DIRECT: int
 GEOM_SPHERE: int
+GEOM_BOX: int
 GEOM_PLANE: int
 GEOM_MESH: int
 GEOM_HEIGHTFIELD: int

@@ -43,7 +43,7 @@ class Material:
     rolling_resistance: float = 0.05
     """Resisting torque per normal force, in ball radii; it also slows the spin about the normal."""
     damping: float = 0.02
-    """Share of linear and angular velocity lost in a second."""
+    """Bullet's coefficient d: dv/dt = -d v (1 + |v|) in m/s, and likewise for the spin in rad/s."""
 
     def __post_init__(self) -> None:
         if self.rolling_resistance > 0 and self.friction <= 0:
@@ -99,6 +99,10 @@ class World:
         plane = pybullet.createCollisionShape(
             pybullet.GEOM_PLANE, planeNormal=[0, 0, 1], physicsClientId=client
         )
+        # PyBullet would make pictures of bodies without looks, which takes ten times as long.
+        self._looks = pybullet.createVisualShape(
+            pybullet.GEOM_BOX, halfExtents=(0.01, 0.01, 0.01), physicsClientId=client
+        )
         self._balls = [self._make_ball(scene, k, sphere) for k in range(scene.objects)]
         self._planes = [
             [self._make_surface_plane(k, plane) for _ in range(_MAX_CONTACTS)]
@@ -113,7 +117,7 @@ class World:
     def _make_ball(self, scene: Scene, index: int, shape: int) -> int:
         client = self._client
         body = pybullet.createMultiBody(
-            1.0, shape, -1, scene.positions_m[index], scene.orientations_xyzw[index],
+            1.0, shape, self._looks, scene.positions_m[index], scene.orientations_xyzw[index],
             physicsClientId=client,
         )  # fmt: skip
         pybullet.resetBaseVelocity(
@@ -135,7 +139,7 @@ class World:
         """Make a plane that only ball ``index`` can touch."""
         client = self._client
         body = pybullet.createMultiBody(
-            0, shape, -1, (0, 0, _OUT_OF_REACH_M), physicsClientId=client
+            0, shape, self._looks, (0, 0, _OUT_OF_REACH_M), physicsClientId=client
         )
         material = self._material
         # Bullet multiplies the resistance of one body by the friction of the other.
@@ -160,7 +164,7 @@ class World:
                 pybullet.GEOM_PLANE, planeNormal=[-x, -y, 0], physicsClientId=client
             )
             origin = (x * HEIGHTFIELD_HALF_WIDTH_M, y * HEIGHTFIELD_HALF_WIDTH_M, 0)
-            body = pybullet.createMultiBody(0, shape, -1, origin, physicsClientId=client)
+            body = pybullet.createMultiBody(0, shape, self._looks, origin, physicsClientId=client)
             pybullet.changeDynamics(
                 body, -1, lateralFriction=0, restitution=1 / math.sqrt(BALL_RESTITUTION),
                 physicsClientId=client,

@@ -1,0 +1,200 @@
+"""Reading frames of videos that are made here: each frame tells its number by its brightness."""
+
+from fractions import Fraction
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from rollcast.errors import CropError, FootageError
+from rollcast.footage import SquareCrop
+from rollcast.video import frames_at, read_frames
+
+WIDTH, HEIGHT = 96, 64
+STEP = 4  # of brightness between two frames
+
+
+def picture(number):
+    """A frame; its left half is darker and its upper left corner is red."""
+    frame = np.full((HEIGHT, WIDTH, 3), 20 + STEP * number, np.uint8)
+    frame[:, : WIDTH // 2] -= 16
+    frame[:16, :16] = [200, 0, 0]
+    return frame
+
+
+def write_video(path, times_ms, rotation=0, **options):
+    """Write one frame for each time; the codec reorders frames unless options forbid it."""
+    with av.open(path, "w") as container:
+        stream = container.add_stream("libx264", rate=30, options={"crf": "0", **options})
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        if rotation:
+            stream.set_display_rotation(rotation)
+        for number, time_ms in enumerate(times_ms):
+            frame = av.VideoFrame.from_ndarray(picture(number), format="rgb24")
+            frame.pts, frame.time_base = time_ms, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+def even(rate, frames=50, first_ms=0):
+    return [first_ms + round(1000 * index / rate) for index in range(frames)]
+
+
+def numbers(footage):
+    """Which frames of the video these are."""
+    brightness = footage.frames[:, -8:, -8:].mean(axis=(1, 2, 3))
+    return np.round((brightness - 20) / STEP).astype(int).tolist()
+
+
+@pytest.mark.parametrize(
+    ("rate", "expected", "real_rate"),
+    [
+        (30, [12, 13, 14, 15], 30),
+        (25, [10, 11, 12, 13], 25),
+        (40, [16, 17, 18, 19], 40),
+        (50, [20, 21, 22, 23], 50),
+        (60, [24, 26, 28, 30], 30),
+        (120, [48, 51, 54, 57], 40),
+    ],
+)
+def test_the_nearest_even_spacing_that_the_clip_has(tmp_path, rate, expected, real_rate):
+    video = write_video(tmp_path / "clip.mp4", even(rate, frames=58))
+    footage = read_frames(video, start_s=0.4)
+    assert numbers(footage) == expected
+    assert footage.frames.shape == (4, HEIGHT, HEIGHT, 3)
+    assert footage.frames.dtype == np.uint8
+    np.testing.assert_allclose(footage.times_s, np.array(expected) / rate, atol=6e-4)
+    assert footage.frame_rate == pytest.approx(real_rate, rel=0.02)
+    assert footage.unevenness < 0.05
+
+
+@pytest.mark.parametrize("name", ["clip.mp4", "clip.mkv", "clip.avi", "clip.ts"])
+def test_times_count_from_the_first_frame_in_every_container(tmp_path, name):
+    times_ms = even(25)
+    options = {"bf": "0"} if name.endswith("avi") else {}
+    video = write_video(tmp_path / name, times_ms, g="10", **options)
+    for start_s in (0, 0.33, 1.0, 1.84):
+        footage = read_frames(video, start_s=start_s)
+        first = round(start_s * 25)
+        assert numbers(footage) == list(range(first, first + 4))
+        np.testing.assert_allclose(footage.times_s, np.arange(first, first + 4) / 25, atol=1e-3)
+
+
+def test_a_first_frame_that_is_late_is_time_zero(tmp_path):
+    video = write_video(tmp_path / "clip.mkv", even(25, first_ms=3000))
+    footage = read_frames(video, start_s=0.2)
+    assert numbers(footage) == [5, 6, 7, 8]
+    assert footage.times_s[0] == pytest.approx(0.2)
+
+
+def test_a_variable_rate_is_told_from_an_even_one(tmp_path):
+    times_ms = [0, 33, 67, 100, 133, 167, 300, 333, 367, 400]
+    video = write_video(tmp_path / "clip.mkv", times_ms)
+    assert read_frames(video, start_s=0.05).unevenness < 0.05
+    with_gap = read_frames(video, start_s=0.1)
+    assert numbers(with_gap) == [3, 4, 5, 6]
+    assert with_gap.unevenness > 0.5
+    assert with_gap.frame_rate == pytest.approx(15)
+
+
+def test_frames_at_times_without_repetition_until_the_end(tmp_path):
+    video = write_video(tmp_path / "clip.mp4", even(25, frames=20))
+    footage = frames_at(video, [0.2, 0.21, 0.49, 0.761, 0.9])
+    assert numbers(footage) == [5, 6, 12, 19]
+    np.testing.assert_allclose(footage.times_s, [0.2, 0.24, 0.48, 0.76], atol=1e-3)
+    with pytest.raises(FootageError, match=r"ends before 0\.900 s"):
+        frames_at(video, [0.9])
+
+
+def test_a_crop_is_that_part_of_the_picture(tmp_path):
+    video = write_video(tmp_path / "clip.mp4", even(30))
+    whole = read_frames(video)
+    assert whole.crop == SquareCrop(16, 0, 64)
+    part = read_frames(video, crop=SquareCrop(24, 8, 40))
+    np.testing.assert_array_equal(part.frames, whole.frames[:, 8:48, 8:48])
+    corner = read_frames(video, crop=SquareCrop(0, 0, 32)).frames[0]
+    assert corner[4, 4, 0] > 150 > 50 > corner[4, 24, 0]
+    assert corner[4, 4, 1] < 50
+
+
+def test_pictures_are_turned_as_players_turn_them(tmp_path):
+    video = write_video(tmp_path / "clip.mp4", even(30), rotation=90)
+    turned = read_frames(video, crop=SquareCrop(0, 80, 16)).frames[0]
+    assert turned[4, 4, 0] > 150
+    assert turned[4, 4, 1] < 50
+
+
+@pytest.mark.parametrize(
+    ("crop", "message"),
+    [
+        (SquareCrop(40, 0, 64), r"spans x 40\.\.104 and y 0\.\.64, the picture is 96 x 64"),
+        (SquareCrop(0, 1, 64), r"y 1\.\.65"),
+        (SquareCrop(-1, 0, 32), "x -1"),
+        (SquareCrop(0, 0, 0), "crop 0,0,0"),
+    ],
+)
+def test_a_crop_outside_the_picture_is_refused(tmp_path, crop, message):
+    video = write_video(tmp_path / "clip.mp4", even(30, frames=5))
+    with pytest.raises(CropError, match=message):
+        read_frames(video, crop=crop)
+
+
+@pytest.mark.parametrize("start_s", [0.1, 0.2, 100, 1e9])
+def test_a_start_too_near_the_end_or_beyond_is_refused(tmp_path, start_s):
+    video = write_video(tmp_path / "clip.mp4", even(25, frames=5))
+    with pytest.raises(FootageError, match=r"ends at 0\.160 s; 4 frames from .* s do not fit"):
+        read_frames(video, start_s=start_s)
+
+
+@pytest.mark.parametrize("start_s", [-0.1, float("nan"), float("inf")])
+def test_a_start_that_is_no_time_is_refused(tmp_path, start_s):
+    video = write_video(tmp_path / "clip.mp4", even(25, frames=5))
+    with pytest.raises(FootageError, match="expected 0 or later"):
+        read_frames(video, start_s=start_s)
+
+
+def test_a_file_that_cannot_be_sought_in(tmp_path):
+    pictures = [Image.fromarray(picture(number)) for number in range(20)]
+    pictures[0].save(
+        tmp_path / "clip.gif", save_all=True, append_images=pictures[1:], duration=40, loop=0
+    )
+    assert numbers(read_frames(tmp_path / "clip.gif", start_s=0.4)) == [10, 11, 12, 13]
+
+
+def test_files_that_are_no_video_are_refused(tmp_path):
+    text = tmp_path / "notes.mp4"
+    text.write_text("not a video\n" * 100)
+    with pytest.raises(FootageError, match=r"notes\.mp4 cannot be read as a video: Invalid data"):
+        read_frames(text)
+    with pytest.raises(FootageError, match="cannot be read: No such file"):
+        read_frames(tmp_path / "nowhere.mp4")
+    with pytest.raises(FootageError, match="cannot be read: Is a directory"):
+        read_frames(tmp_path)
+    cut = tmp_path / "cut.mp4"
+    cut.write_bytes(write_video(tmp_path / "clip.mp4", even(30)).read_bytes()[:1000])
+    with pytest.raises(FootageError, match=r"cut\.mp4 cannot be read as a video"):
+        read_frames(cut)
+
+
+def test_sound_alone_and_one_picture_are_refused(tmp_path):
+    sound = tmp_path / "sound.wav"
+    with av.open(sound, "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000)
+        samples = np.zeros((1, 800), np.int16)
+        frame = av.AudioFrame.from_ndarray(samples, format="s16", layout="mono")
+        frame.sample_rate = 8000
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    with pytest.raises(FootageError, match="has no video in it"):
+        read_frames(sound)
+    Image.fromarray(picture(0)).save(tmp_path / "one.png")
+    with pytest.raises(FootageError, match="do not fit"):
+        read_frames(tmp_path / "one.png")
+
+
+def test_a_spacing_needs_two_frames(tmp_path):
+    with pytest.raises(ValueError, match="expected at least 2"):
+        read_frames(tmp_path / "clip.mp4", frames=1)
