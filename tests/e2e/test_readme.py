@@ -11,4 +11,4 @@ def test_the_python_example_runs(address, capsys):
     assert "http://127.0.0.1:8000" in example
     exec(compile(example.replace("http://127.0.0.1:8000", address), str(README), "exec"), {})
     printed = capsys.readouterr().out
-    assert "(1, 40, 2)" in printed
+    assert "(1, 20, 2)" in printed

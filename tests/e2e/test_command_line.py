@@ -1,0 +1,96 @@
+"""The command line as its users call it: a process, a video file and the real service."""
+
+import re
+import socket
+import subprocess
+import sys
+
+import av
+import numpy as np
+import pytest
+from PIL import Image, ImageColor
+
+from rollcast.plot import OVERVIEW_PX, PALETTE, PANEL_PX
+from tests.e2e.conftest import ROOT
+
+SIDE = 128
+BESIDE = 32  # columns of the video to the left and right of the scene
+
+
+def predict(*arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "rollcast", "predict", *map(str, arguments)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+@pytest.fixture
+def scene(client):
+    return client.simulate("hemisphere", seed=7, image_size=SIDE)
+
+
+@pytest.fixture
+def video(scene, tmp_path):
+    """The scene at 40 frames a second after ten frames of nothing, with a margin at both sides."""
+    path = tmp_path / "scene.mkv"
+    nothing = np.zeros((10, *scene.frames.shape[1:]), np.uint8)
+    frames = np.concatenate([nothing, scene.frames])
+    with av.open(path, "w") as container:
+        stream = container.add_stream("ffv1", rate=40)
+        stream.width, stream.height, stream.pix_fmt = SIDE + 2 * BESIDE, SIDE, "bgr0"
+        for frame in np.pad(frames, ((0, 0), (0, 0), (BESIDE, BESIDE), (0, 0))):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode())
+    return path
+
+
+def test_a_video_becomes_the_forecast_of_its_frames(address, client, scene, video, tmp_path):
+    out = tmp_path / "overlay.png"
+    run = predict(
+        *(video, "--start", 0.25, "--crop", f"{BESIDE},0,{SIDE}", "--horizon", 41),
+        *("--model", "posnet", "--url", address, "--out", out),
+    )
+    assert (run.returncode, run.stderr) == (0, "")
+    expected = client.predict(scene.frames[:4], horizon=41, model="posnet")
+    lines = run.stdout.splitlines()
+    model = f"{expected.model.name}@{expected.model.version}"
+    assert lines[0] == (
+        f"{model}: four frames from 0.250 s to 0.325 s (40 a second), crop {BESIDE},0,{SIDE}"
+    )
+    rows = np.array([line.split() for line in lines if re.match(" +[0-9]", line)], float)
+    np.testing.assert_allclose(rows[-1, 0], 1.0, atol=1e-3)
+    for time_s, _, x, y in rows:
+        position = expected.positions[0, round(time_s * 40)] + [BESIDE, 0]
+        np.testing.assert_allclose([x, y], position, atol=0.1)
+    assert [line for line in lines if line.startswith("warning: ")] == [
+        f"warning: {warning}" for warning in expected.warnings
+    ]
+    with Image.open(out) as picture:
+        assert picture.size == (OVERVIEW_PX + 3 * PANEL_PX, OVERVIEW_PX)
+        pixels = np.asarray(picture, int)
+    scale = OVERVIEW_PX / SIDE
+    for x, y in expected.positions[0, 5:15]:
+        column, row = (np.array([x, y]) * scale).astype(int)
+        drawn = pixels[row - 1 : row + 2, column - 1 : column + 2]
+        assert np.abs(drawn - ImageColor.getrgb(PALETTE[0])).max(axis=-1).min() < 40
+
+
+def test_what_the_service_refuses_is_one_line(address, video):
+    run = predict(video, "--crop", "0,0,128", "--model", "nonet", "--url", address)
+    assert (run.returncode, run.stdout) == (1, "")
+    assert run.stderr.startswith("rollcast: ")
+    assert "(404)" in run.stderr
+    assert run.stderr.count("\n") == 1
+
+
+def test_a_service_that_does_not_run_is_one_line(video):
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    run = predict(video, "--url", f"http://127.0.0.1:{port}")
+    assert (run.returncode, run.stdout) == (1, "")
+    assert run.stderr.endswith("is the service running (make serve)?\n")
+    assert run.stderr.count("\n") == 1
