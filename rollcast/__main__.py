@@ -203,10 +203,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _start(text: str) -> float:
-    seconds = float(text)
-    if not 0 <= seconds < float("inf"):
+    if not re.fullmatch(r"[0-9]+(\.[0-9]*)?|\.[0-9]+", text):
         raise argparse.ArgumentTypeError(f"{text} is not a number of seconds, 0 or more")
-    return seconds
+    return float(text)
 
 
 def _crop(text: str) -> SquareCrop:
@@ -216,19 +215,19 @@ def _crop(text: str) -> SquareCrop:
 
 
 def _horizon(text: str) -> int:
-    steps = int(text)
-    if not 1 <= steps <= MAX_HORIZON:
-        raise argparse.ArgumentTypeError(f"{text} is not between 1 and {MAX_HORIZON}")
-    return steps
+    if not re.fullmatch(r"[0-9]{1,4}", text) or not 1 <= int(text) <= MAX_HORIZON:
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number from 1 to {MAX_HORIZON}")
+    return int(text)
 
 
 def _url(text: str) -> str:
+    fault = argparse.ArgumentTypeError(f"{text} is not an address like http://127.0.0.1:8000")
     try:
         url = httpx2.URL(text)
     except httpx2.InvalidURL as error:
-        raise argparse.ArgumentTypeError(f"{text} is not an address: {error}") from error
+        raise fault from error
     if url.scheme not in {"http", "https"} or not url.host:
-        raise argparse.ArgumentTypeError(f"{text} is not an address like http://127.0.0.1:8000")
+        raise fault
     return text
 
 
