@@ -69,9 +69,9 @@ def _predict(options: argparse.Namespace, connect: Callable[[str], Client]) -> N
             model=options.model,
             frame_rate=observed.frame_rate,
         )
-    _print_forecast(observed, forecast)
     if options.out is not None:
         _draw(observed, later_frames, forecast).save(options.out)
+    _print_forecast(observed, forecast)
 
 
 def _read(
