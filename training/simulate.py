@@ -27,7 +27,7 @@ SHARD_SCENES = 50
 STORED_FRAMES = 288
 """Frames kept of every simulation, from its start."""
 
-SCENES_PER_WORKER = 4
+SHARDS_PER_WORKER = 4
 """Shards after which a worker process is replaced: PyBullet leaks (design, section 3)."""
 
 
@@ -72,7 +72,7 @@ def simulate_split(source: Source, split: Split, scenes: int, workers: int) -> l
     missing = [shard for shard in shards if not shard[1].exists()]
     if missing:
         context = multiprocessing.get_context("spawn")
-        with context.Pool(workers, maxtasksperchild=SCENES_PER_WORKER) as pool:
+        with context.Pool(workers, maxtasksperchild=SHARDS_PER_WORKER) as pool:
             done = pool.imap_unordered(_make_shard, missing)
             for _ in tqdm(done, total=len(missing), desc=f"{source.name} {split}", unit="shard"):
                 pass

@@ -7,7 +7,6 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
-from rollcast.camera import NETWORK_FRAME_SIZE
 from training.models.blocks import PIXEL_UNIT
 
 ANGULAR_VELOCITY_UNIT = 20.0
@@ -108,7 +107,7 @@ class GaussianOutput(nn.Module):
 
 def pixels(position: Tensor) -> Tensor:
     """Network units to 128-pixel units."""
-    return NETWORK_FRAME_SIZE / 2 + PIXEL_UNIT * position
+    return PIXEL_UNIT + PIXEL_UNIT * position
 
 
 def logit_of_variance(variance_px2: float) -> float:
