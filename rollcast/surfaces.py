@@ -260,24 +260,31 @@ class Heightfield:
         ]
 
     def _refine(self, x: float, y: float, centre: Vector3) -> Contact | None:
-        """Newton's method on half the squared distance; None when it does not settle."""
-        for _ in range(12):
-            h, hx, hy, hxx, hxy, hyy = self._local(x, y)
+        """Damped Newton's method on half the squared distance; None when it does not settle."""
+        shape = self._local(x, y)
+        for _ in range(40):
+            h, hx, hy, hxx, hxy, hyy = shape
             gap = h - centre[2]
             fx, fy = x - centre[0] + gap * hx, y - centre[1] + gap * hy
             a, b, d = 1 + hx * hx + gap * hxx, hx * hy + gap * hxy, 1 + hy * hy + gap * hyy
+            lowest = 0.5 * (a + d) - math.hypot(0.5 * (a - d), b)
+            if lowest <= 0:
+                # Not convex here: bend it until it is.
+                a, d = a + 0.1 - lowest, d + 0.1 - lowest
             determinant = a * d - b * b
-            if determinant <= 1e-9 or a <= 0:
-                # Not convex here: a plain, bounded step downhill.
-                sx, sy = -0.1 * fx, -0.1 * fy
-            else:
-                sx, sy = (b * fy - d * fx) / determinant, (b * fx - a * fy) / determinant
+            sx, sy = (b * fy - d * fx) / determinant, (b * fx - a * fy) / determinant
             length = math.hypot(sx, sy)
             if length > self._GRID_STEP_M:
                 sx, sy = sx * self._GRID_STEP_M / length, sy * self._GRID_STEP_M / length
-            x, y = x + sx, y + sy
             if length < 1e-7:
-                return self.contact_at(x, y)
+                return self.contact_at(x + sx, y + sy)
+            before = math.dist((x, y, h), centre)
+            for _ in range(12):
+                shape = self._local(x + sx, y + sy)
+                if math.dist((x + sx, y + sy, shape[0]), centre) <= before + 1e-12:
+                    break
+                sx, sy = sx / 2, sy / 2
+            x, y = x + sx, y + sy
         return None
 
     def height_and_normal(

@@ -23,6 +23,9 @@ from rollcast.trajectory import Trajectory
 from training.settings import runs_folder
 from training.splits import Split, seeds
 
+WORLD_REVISION = 2
+"""Raised by every change of the simulator's code that moves trajectories (golden values tell)."""
+
 SHARD_SCENES = 50
 STORED_FRAMES = 288
 """Frames kept of every simulation, from its start."""
@@ -82,6 +85,7 @@ def simulate_split(source: Source, split: Split, scenes: int, workers: int) -> l
 def data_folder(source: Source, split: Split) -> Path:
     """Folder of a split's shards; its name carries a fingerprint of the world's constants."""
     world = {
+        "revision": WORLD_REVISION,
         "material": dataclasses.asdict(Material()),
         "steps_per_frame": STEPS_PER_FRAME,
         "noise_amplitude_m": NOISE_AMPLITUDE_M,

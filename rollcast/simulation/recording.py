@@ -25,7 +25,7 @@ STOPPED_FRAMES = 20
 
 SCREENED_FRAMES = 20
 
-TEST_START: Mapping[Scenario, int] = {"hemisphere": 80, "ellipsoid": 80, "heightfield": 20}
+TEST_START: Mapping[Scenario, int] = {"hemisphere": 80, "ellipsoid": 80, "heightfield": 18}
 """Frame of the simulation that is the first a test sees; calibrated (decision 0010)."""
 
 MAX_ATTEMPTS = 1000

@@ -142,10 +142,6 @@ def test_a_ball_starts_above_the_ground_and_within_the_walls():
     assert not surface.clears((1.1, 0.0, 1.5), 0.225)
 
 
-@pytest.mark.xfail(
-    reason="Newton's method swings for ever from the best grid point here, and gives up",
-    strict=True,
-)
 def test_no_contact_is_overlooked_where_two_hollows_meet():
     """A ball that has rolled between the spikes of the tightest landscape (seed 9, frame 68)."""
     surface = Heightfield(

@@ -54,7 +54,8 @@ def test_energy_never_rises(world, radius, ratio):
     start = at_rest_in_bowl(1.3, 0.8, radius=radius, axis_ratio=ratio)
     start = start.model_copy(update={"velocities_m_s": ((2.0, -3.0, 0.0),)})
     motion = run(world(Material()), start, 300)
-    assert np.all(np.diff(motion.energies) <= 0)
+    # At rest the contact's correction may lift the ball by some 1e-8 m.
+    assert np.diff(motion.energies).max() <= 1e-6
     fallen = motion.energies[0] - motion.energies
     assert fallen[-1] > 0.5 * fallen.max() > 0
 

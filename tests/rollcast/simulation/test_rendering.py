@@ -51,7 +51,7 @@ def test_a_balls_image_is_centred_where_the_camera_projects_it(scenes, scenario,
         places = np.stack([0.6 * np.cos(angles), 0.6 * np.sin(angles), np.full(3, 1.0)], axis=1)
         shown = owners(scene, places, size)
         # A lamp at the side leaves one side of the balls so dark that its rim is missed.
-        tolerance = 0.25 if scenario == "heightfield" else 0.2
+        tolerance = 0.3 if scenario == "heightfield" else 0.2
         for index, expected in enumerate(camera.project(places)):
             assert centre_of(shown == index) == pytest.approx(expected, abs=tolerance)
 

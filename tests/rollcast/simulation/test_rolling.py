@@ -37,10 +37,6 @@ def test_a_sliding_ball_rolls_in_the_end_with_five_sevenths_of_its_speed(world, 
     np.testing.assert_allclose(motion.speeds[after, 0], 5 / 7 * speed, rtol=1e-6)
 
 
-@pytest.mark.xfail(
-    reason="Bullet clamps each component of a body's angular velocity to 100 rad/s",
-    strict=True,
-)
 def test_a_small_fast_ball_rolls_as_a_large_slow_one_does(world):
     motion = launch(world(LOSSLESS), 10, 0.04, 80)
     assert motion.speeds[-1, 0] == pytest.approx(5 / 7 * 10)

@@ -14,7 +14,7 @@ FRAMES = 44
 @pytest.mark.parametrize("scenario", SCENARIOS)
 @pytest.mark.parametrize("objects", [1, 3])
 def test_a_turned_scene_takes_the_turned_course(simulator, scenario, objects):
-    scene = simulator.sequence(scenario, objects, 2, 4).scene
+    scene = simulator.sequence(scenario, objects, 3, 4).scene
     course = simulator.simulate(scene, FRAMES).window(0, FRAMES)
     other = simulator.simulate(turned(scene), FRAMES).window(0, FRAMES)
     for before, after in (
@@ -28,7 +28,7 @@ def test_a_turned_scene_takes_the_turned_course(simulator, scenario, objects):
 @pytest.mark.parametrize("scenario", SCENARIOS)
 @pytest.mark.parametrize("objects", [1, 3])
 def test_a_turned_scene_gives_the_turned_image(simulator, scenario, objects):
-    scene = simulator.sequence(scenario, objects, 2, 4).scene
+    scene = simulator.sequence(scenario, objects, 3, 4).scene
     camera = camera_for(scenario, 128)
     course = simulator.simulate(scene, 10).window(0, 10)
     other = simulator.simulate(turned(scene), 10).window(0, 10)
