@@ -1,4 +1,4 @@
-"""``python -m training simulate | calibrate | train | evaluate | export``."""
+"""``python -m training simulate | calibrate | train | evaluate | export | report``."""
 
 import argparse
 import os
@@ -12,12 +12,14 @@ from training.artefact import load_exported, read_initial
 from training.evaluate import EvaluationSet, evaluation_sets, markdown_table, metric_rows, run
 from training.export import Trained, export, with_covariance
 from training.recipes import RECIPES
+from training.report import committed, with_results
 from training.settings import runs_folder
 from training.simulate import Source, simulate_split
 from training.splits import Split
 from training.trainer import BEST, Pace, Trainer
 
 MODELS = Path("models")
+README = Path("README.md")
 
 
 def main() -> None:
@@ -59,7 +61,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     train.add_argument("recipe", choices=sorted(RECIPES))
     train.add_argument(
-        "--init", type=Path, help="exported model (models/NAME/VERSION) to start from"
+        "--init",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="MODEL",
+        help="exported models (models/NAME/VERSION) to start from; the first one's encoder wins",
     )
     train.set_defaults(run=_train)
 
@@ -72,13 +79,18 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.set_defaults(run=_evaluate)
 
     exported = commands.add_parser(
-        "export", parents=[processes], help="export a recipe's best weights and prove the export"
+        "export", parents=[processes], help="export a recipe's best networks and prove the exports"
     )
     exported.add_argument("recipe", choices=sorted(RECIPES))
     exported.add_argument("--version", type=int, default=1)
     exported.add_argument("--models", type=Path, default=MODELS)
     exported.add_argument("--scenes", type=int, default=500, help="test scenes per scenario")
     exported.set_defaults(run=_export)
+
+    reported = commands.add_parser(
+        "report", help="write the README's table of results from the committed models"
+    )
+    reported.set_defaults(run=_report)
     return parser
 
 
@@ -95,7 +107,7 @@ def _calibrate(arguments: argparse.Namespace) -> None:
 def _train(arguments: argparse.Namespace) -> None:
     recipe = RECIPES[arguments.recipe]()
     folder = runs_folder() / arguments.recipe
-    initial = None if arguments.init is None else read_initial(arguments.init)
+    initial = [read_initial(folder) for folder in arguments.init]
     trainer = Trainer(recipe, folder, Pace(workers=1, simulators=arguments.workers), initial)
     error = trainer.run()
     print(f"best validation error at T={recipe.trained_horizon}: {error:.3f} px, kept in {folder}")
@@ -112,27 +124,37 @@ def _evaluate(arguments: argparse.Namespace) -> None:
 
 def _export(arguments: argparse.Namespace) -> None:
     recipe = RECIPES[arguments.recipe]()
-    best = torch.load(
-        runs_folder() / arguments.recipe / BEST, map_location="cpu", weights_only=True
-    )
-    predictor = recipe.build()
-    predictor.load_state_dict(best["weights"])
+    weights = runs_folder() / arguments.recipe / BEST
+    if not weights.exists():
+        raise SystemExit(
+            f"no trained weights at {weights}: run `python -m training train {arguments.recipe}` "
+            "first, or name the folder of its runs with ROLLCAST_RUNS"
+        )
+    best = torch.load(weights, map_location="cpu", weights_only=True)
 
     def sets(split: Split, scenes: int) -> list[EvaluationSet]:
         return evaluation_sets(recipe.scenarios, recipe.objects, split, scenes, arguments.workers)
 
-    folder = arguments.models / recipe.name / str(arguments.version)
-    manifest = export(
-        Trained(recipe, predictor, best["sequences"]),
-        folder,
-        arguments.version,
-        sets("validation", recipe.validation_scenes),
-        sets("test", arguments.scenes),
-    )
-    for name, error in manifest.parity.max_abs_error.items():
-        tolerance = manifest.parity.tolerance[name]
-        print(f"{name}: torch and ONNX differ by {error} (tolerance {tolerance})")
-    print(markdown_table([row for row in manifest.metrics if row.split == "test"]))
+    validation, test = sets("validation", recipe.validation_scenes), sets("test", arguments.scenes)
+    for name, predictor in recipe.build().predictors().items():
+        predictor.load_state_dict(best["weights"][name])
+        manifest = export(
+            Trained(recipe, name, predictor, best["sequences"]),
+            arguments.models / name / str(arguments.version),
+            arguments.version,
+            validation,
+            test,
+        )
+        print(f"## {manifest.label}\n")
+        for output, error in manifest.parity.max_abs_error.items():
+            tolerance = manifest.parity.tolerance[output]
+            print(f"{output}: torch and ONNX differ by {error} (tolerance {tolerance})")
+        print(f"\n{markdown_table([row for row in manifest.metrics if row.split == 'test'])}\n")
+
+
+def _report(_: argparse.Namespace) -> None:
+    text = README.read_text(encoding="utf-8")
+    README.write_text(with_results(text, committed(MODELS)), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -8,8 +8,8 @@ import torch
 from onnx import numpy_helper
 
 from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, STEP_FILE, Manifest
+from training.models.compact import compact_family
 from training.models.predictor import Predictor
-from training.recipes import RECIPES
 from training.trainer import Initial
 
 
@@ -28,7 +28,7 @@ def read_initial(folder: Path) -> Initial:
     manifest = Manifest.read(folder / MANIFEST_FILE)
     sequences = manifest.training["sequences"]
     assert isinstance(sequences, int)
-    return Initial(read_parameters(folder), sequences)
+    return Initial(manifest.name, read_parameters(folder), sequences)
 
 
 def load_exported(folder: Path) -> tuple[Manifest, Predictor]:
@@ -36,13 +36,16 @@ def load_exported(folder: Path) -> tuple[Manifest, Predictor]:
 
     Raises
     ------
-    KeyError
-        When no recipe has the model's name.
     ValueError
         When a parameter of the network is missing in the graphs.
     """
     manifest = Manifest.read(folder / MANIFEST_FILE)
-    predictor = RECIPES[manifest.name]().build()
+    predictor = compact_family(
+        {manifest.name: manifest.variant},
+        manifest.frames,
+        manifest.objects,
+        angular_velocity=manifest.angular_velocity,
+    ).predictors()[manifest.name]
     stored = read_parameters(folder)
     own = predictor.state_dict()
     missing = sorted(own.keys() - stored.keys())

@@ -11,7 +11,7 @@ from rollcast.scene import Scenario
 from rollcast.simulation.recording import TEST_START
 from training.dataset import MAX_HORIZON, Window, fixed_windows
 from training.metrics import Forecasts, forecast, line_through_ten, stays_put
-from training.models.predictor import Predictor
+from training.models.predictor import Family, Predictor
 from training.simulate import Recording, Source, load_recordings, simulate_split
 from training.splits import Split
 
@@ -53,7 +53,10 @@ def _first_positions(recording: Recording) -> np.ndarray:
 def run(predictor: Predictor, sets: Sequence[EvaluationSet]) -> Mapping[Scenario, Forecasts]:
     """Forecast every set up to T_gen."""
     device = next(predictor.parameters()).device
-    return {part.scenario: forecast(predictor, part.windows, MAX_HORIZON, device) for part in sets}
+    alone = Family({"it": predictor})
+    return {
+        part.scenario: forecast(alone, part.windows, MAX_HORIZON, device)["it"] for part in sets
+    }
 
 
 def metric_rows(

@@ -39,7 +39,7 @@ from rollcast.trajectory import FRAME_RATE_HZ
 from training.dataset import Window, collate
 from training.evaluate import EvaluationSet, markdown_table, metric_rows, run
 from training.metrics import Forecasts
-from training.models.predictor import Observation, Predictor, State
+from training.models.predictor import Head, Observation, Predictor, State
 from training.recipes import Recipe
 from training.settings import keep_runtime_silent
 
@@ -80,9 +80,10 @@ class StepGraph(Predictor):
 
 @dataclass(frozen=True)
 class Trained:
-    """A network ready to be exported."""
+    """A network ready to be exported: the member ``name`` of a recipe."""
 
     recipe: Recipe
+    name: str
     predictor: Predictor
     sequences: int
     """Training sequences that its weights have seen."""
@@ -130,10 +131,10 @@ def export(
     (folder / CARD_FILE).write_text(card, encoding="utf-8")
     manifest = Manifest(
         format_version=1,
-        name=trained.recipe.name,
+        name=trained.name,
         version=version,
         default=True,
-        variant=trained.recipe.variant,
+        variant=trained.recipe.member(trained.name).variant,
         preset=trained.recipe.preset,
         scenarios=trained.recipe.scenarios,
         objects=trained.recipe.objects,
@@ -193,9 +194,8 @@ def _spread(sets: Sequence[EvaluationSet], windows: int) -> list[Window]:
 
 
 def _write_graphs(predictor: Predictor, frames: Tensor, folder: Path) -> None:
-    parts = (
-        predictor.encoder, predictor.transition, predictor.motion, predictor.output, predictor.spin,
-    )  # fmt: skip
+    head = Head(predictor.motion, predictor.output)
+    parts = (predictor.encoder, predictor.transition, head, predictor.spin)
     outputs = list(_observation_of(predictor, frames))
     batch = torch.export.Dim("batch", min=1, max=4096)
     with torch.inference_mode():
@@ -349,13 +349,17 @@ def model_card(
         "empirical": "the covariance of the network's own validation residuals at each step",
     }[covariance.source]
     scenes = ", ".join(f"{part.scenes} {part.source.name}" for part in recipe.data)
-    return f"""# {recipe.name}@{version}
+    others = [member.name for member in recipe.members if member.name != trained.name]
+    together = (
+        f"\n  Trained together with {', '.join(others)}: the state is shared." if others else ""
+    )
+    return f"""# {trained.name}@{version}
 
-{recipe.variant} ({recipe.preset} preset), {recipe.objects} ball(s), scenarios
+{recipe.member(trained.name).variant} ({recipe.preset} preset), {recipe.objects} ball(s), scenarios
 {", ".join(recipe.scenarios)}. It sees four 128 x 128 frames at {FRAME_RATE_HZ} Hz and was trained
 to forecast {recipe.trained_horizon} steps.
 
-- Trained on {trained.sequences:,} sequences from simulated scenes: {scenes}.
+- Trained on {trained.sequences:,} sequences from simulated scenes: {scenes}.{together}
 - Uncertainty: {source}.
 - Limits: simulated scenes of these scenarios only; beyond step {recipe.trained_horizon} it
   extrapolates past its training.

@@ -1,4 +1,8 @@
-"""Losses over a rollout; the paper's and what the compact preset uses instead."""
+"""Losses over a rollout; the paper's and what the compact preset uses instead.
+
+The loss of a network is that of its positions plus that of its angular velocities (paper, section
+5.1).
+"""
 
 from typing import Protocol
 
@@ -9,12 +13,10 @@ from training.models.predictor import ANGULAR_VELOCITY_UNIT, Observation
 
 
 class Loss(Protocol):
-    """A scalar to minimise."""
+    """A scalar to minimise: how far a forecast's positions are from the truth of its steps."""
 
-    def __call__(
-        self, forecast: Observation, positions_BNT2: Tensor, angular_velocities_BNT3: Tensor
-    ) -> Tensor:
-        """Loss of a forecast against the truth of the same steps."""
+    def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
+        """Loss of a forecast."""
         ...
 
 
@@ -29,66 +31,75 @@ def step_weights(horizon: int, halving: float) -> Tensor:
 
 
 class DistanceLoss:
-    """Weighted mean distance in pixels, rounded off within ``rounding`` px, plus spin's.
+    """Weighted mean distance in pixels, rounded off within ``rounding`` px.
 
     Parameters
     ----------
     halving
         Step at which the weight is half of the first's.
-    spin_weight
-        Pixels that an angular velocity error of 1 rad/s counts for; errors count relative to the
-        speed itself beyond 20 rad/s, where small balls spin.
     """
 
-    def __init__(self, halving: float = 4.0, spin_weight: float = 0.3, rounding: float = 0.5):
+    def __init__(self, halving: float = 4.0, rounding: float = 0.5) -> None:
         self._halving = halving
-        self._spin_weight = spin_weight
         self._rounding = rounding
 
-    def __call__(
-        self, forecast: Observation, positions_BNT2: Tensor, angular_velocities_BNT3: Tensor
-    ) -> Tensor:
-        """Loss of a forecast against the truth of the same steps."""
+    def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
+        """Loss of a forecast in pixels."""
         weights = step_weights(positions_BNT2.shape[2], self._halving)
-        weights = weights.to(positions_BNT2.device)
-        loss = (weights * self.distance(forecast.positions - positions_BNT2)).mean()
-        return loss + self.spin(forecast, angular_velocities_BNT3, weights)
-
-    def distance(self, difference: Tensor) -> Tensor:
-        """Euclidean distance, smooth at zero."""
-        return (difference.square().sum(-1) + self._rounding**2).sqrt() - self._rounding
-
-    def spin(self, forecast: Observation, truth_BNT3: Tensor, weights_T: Tensor) -> Tensor:
-        """Angular velocity's share of the loss; zero when the network has none."""
-        if forecast.angular_velocities is None:
-            return torch.zeros((), device=truth_BNT3.device)
-        scale = 1 + truth_BNT3.norm(dim=-1) / ANGULAR_VELOCITY_UNIT
-        error = self.distance(forecast.angular_velocities - truth_BNT3) / scale
-        return self._spin_weight * (weights_T * error).mean()
+        error = smooth_distance(forecast.positions - positions_BNT2, self._rounding)
+        return (weights.to(error.device) * error).mean()
 
 
 class LikelihoodLoss:
-    """Negative log likelihood with the paper's regulariser lambda det(Sigma), plus spin's loss.
+    """Negative log likelihood with the paper's regulariser lambda det(Sigma).
 
     Paper, sections 3.3 and 5.2; lambda = 0.01.
     """
 
-    def __init__(self, spin: DistanceLoss, halving: float, regulariser: float = 0.01) -> None:
-        self._spin = spin
+    def __init__(self, halving: float, regulariser: float = 0.01) -> None:
         self._halving = halving
         self._regulariser = regulariser
 
-    def __call__(
-        self, forecast: Observation, positions_BNT2: Tensor, angular_velocities_BNT3: Tensor
-    ) -> Tensor:
-        """Loss of a forecast, which has covariances, against the truth of the same steps."""
+    def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
+        """Loss of a forecast, which has covariances, in nats."""
         assert forecast.covariances is not None
         weights = step_weights(positions_BNT2.shape[2], self._halving)
-        weights = weights.to(positions_BNT2.device)
         nll = negative_log_likelihood(forecast.positions, forecast.covariances, positions_BNT2)
         penalty = self._regulariser * determinant(forecast.covariances)
-        spin = self._spin.spin(forecast, angular_velocities_BNT3, weights)
-        return (weights * (nll + penalty)).mean() + spin
+        return (weights.to(nll.device) * (nll + penalty)).mean()
+
+
+class SpinLoss:
+    """Weighted mean angular velocity error; zero for a network without angular velocity.
+
+    Parameters
+    ----------
+    halving
+        Step at which the weight is half of the first's.
+    weight
+        Pixels that an error of 1 rad/s counts for; errors count relative to the speed itself
+        beyond 20 rad/s, where small balls spin.
+    """
+
+    def __init__(self, halving: float = 4.0, weight: float = 0.3, rounding: float = 0.5) -> None:
+        self._halving = halving
+        self._weight = weight
+        self._rounding = rounding
+
+    def __call__(self, forecast: Observation, angular_velocities_BNT3: Tensor) -> Tensor:
+        """Loss of a forecast in pixels."""
+        truth = angular_velocities_BNT3
+        if forecast.angular_velocities is None:
+            return torch.zeros((), device=truth.device)
+        weights = step_weights(truth.shape[2], self._halving).to(truth.device)
+        scale = 1 + truth.norm(dim=-1) / ANGULAR_VELOCITY_UNIT
+        error = smooth_distance(forecast.angular_velocities - truth, self._rounding) / scale
+        return self._weight * (weights * error).mean()
+
+
+def smooth_distance(difference: Tensor, rounding: float) -> Tensor:
+    """Euclidean distance over the last axis, smooth at zero."""
+    return (difference.square().sum(-1) + rounding**2).sqrt() - rounding
 
 
 def negative_log_likelihood(positions: Tensor, covariances: Tensor, truth: Tensor) -> Tensor:

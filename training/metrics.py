@@ -1,6 +1,6 @@
 """What is measured of a forecast, in 128-pixel units, rad/s and nats."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from training.dataset import Window, collate
 from training.losses import negative_log_likelihood
-from training.models.predictor import Observation, Predictor
+from training.models.predictor import Family, Observation
 
 # Mahalanobis radii squared of the ellipses that hold 50 % and 95 % of a bivariate Gaussian.
 _ELLIPSES = {0.50: -2 * np.log(0.50), 0.95: -2 * np.log(0.05)}
@@ -61,30 +61,35 @@ class Forecasts:
 
 
 def forecast(
-    predictor: Predictor, windows: Sequence[Window], horizon: int, device: torch.device
-) -> Forecasts:
-    """Run a network over windows, in float32 and in batches."""
-    predictor.eval()
-    observed: list[Observation] = []
+    family: Family, windows: Sequence[Window], horizon: int, device: torch.device
+) -> Mapping[str, Forecasts]:
+    """Run networks over windows, in float32 and in batches; return every member's forecasts."""
+    family.eval()
+    observed: dict[str, list[Observation]] = {name: [] for name in family.predictors()}
     batch_size = 50
     with torch.inference_mode():
         for first in range(0, len(windows), batch_size):
             batch = collate(windows[first : first + batch_size])
-            observed.append(predictor(batch["frames"].to(device), horizon))
-
-    def joined(parts: Sequence[torch.Tensor | None]) -> np.ndarray | None:
-        tensors = [part.float().cpu() for part in parts if part is not None]
-        return torch.cat(tensors).numpy() if tensors else None
-
-    positions = joined([o.positions for o in observed])
-    assert positions is not None
-    return Forecasts(
-        positions,
-        joined([o.covariances for o in observed]),
-        joined([o.angular_velocities for o in observed]),
+            for name, observation in family(batch["frames"].to(device), horizon).items():
+                observed[name].append(observation)
+    truth = (
         np.stack([w.positions[:, :horizon] for w in windows]).astype(np.float32),
         np.stack([w.angular_velocities[:, :horizon] for w in windows]).astype(np.float32),
     )
+    made: dict[str, Forecasts] = {}
+    for name, parts in observed.items():
+        positions = _joined([part.positions for part in parts])
+        assert positions is not None
+        covariances = _joined([part.covariances for part in parts])
+        spins = _joined([part.angular_velocities for part in parts])
+        made[name] = Forecasts(positions, covariances, spins, *truth)
+    return made
+
+
+def _joined(parts: Sequence[torch.Tensor | None]) -> np.ndarray | None:
+    """Batches of an output as one array; None when the network has no such output."""
+    tensors = [part.float().cpu() for part in parts if part is not None]
+    return torch.cat(tensors).numpy() if tensors else None
 
 
 def stays_put(positions: Float[np.ndarray, "sequences objects steps 2"]) -> np.ndarray:

@@ -3,7 +3,7 @@
 import math
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from training.dataset import Batch, TrainingStream, Window, fixed_windows
 from training.metrics import forecast
-from training.models.predictor import Observation, Predictor
+from training.models.predictor import Family, Observation, Predictor
 from training.recipes import Milestone, Recipe
 from training.simulate import Source, load_recordings, simulate_split
 
@@ -38,8 +38,9 @@ class Pace:
 
 @dataclass(frozen=True)
 class Initial:
-    """Parameters by name, and the training sequences that they have seen."""
+    """A trained network: its name, parameters, and the training sequences that they have seen."""
 
+    name: str
     parameters: dict[str, torch.Tensor]
     sequences: int
 
@@ -52,7 +53,8 @@ class Trainer:
     folder
         Where checkpoints, the best weights and TensorBoard events go.
     initial
-        What to start from; parameters that the network does not share stay untrained.
+        What to start from: each network by its name, all of them where no name fits. What the
+        networks share comes from the first; parameters that none has stay untrained.
     """
 
     def __init__(
@@ -60,25 +62,27 @@ class Trainer:
         recipe: Recipe,
         folder: Path,
         pace: Pace | None = None,
-        initial: Initial | None = None,
+        initial: Sequence[Initial] = (),
     ) -> None:
         torch.manual_seed(recipe.seed)
         self.recipe = recipe
         self.folder = folder
         self._pace = pace or Pace()
         self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        self.predictor = recipe.build()
-        if initial is not None:
-            load_fitting(self.predictor, initial.parameters)
-        self._earlier_sequences = 0 if initial is None else initial.sequences
+        self.family = recipe.build()
+        for trained in reversed(initial):
+            members = self.family.predictors()
+            for name in [trained.name] if trained.name in members else members:
+                load_fitting(members[name], trained.parameters)
+        self._earlier_sequences = initial[0].sequences if initial else 0
         # torch's own annotations leave memory_format out.
-        self.predictor.to(self.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        self.family.to(self.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self._average = torch.optim.swa_utils.AveragedModel(
-            self.predictor,
+            self.family,
             multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(recipe.average_decay),
         )
         self._optimiser = torch.optim.AdamW(
-            self.predictor.parameters(),
+            self.family.parameters(),
             recipe.learning_rate,
             # The second moment has to follow gradients that grow with the horizon.
             betas=(0.9, 0.95),
@@ -145,59 +149,62 @@ class Trainer:
 
     def _step(self, batch: Batch, spent: float) -> float:
         recipe = self.recipe
-        self.predictor.train()
+        self.family.train()
         for group in self._optimiser.param_groups:
             group["lr"] = recipe.learning_rate * learning_rate_factor(spent, recipe.warm_up)
         horizon = horizon_at(recipe.curriculum, spent)
-        forecast_steps = self._autocast_forecast(batch["frames"].to(self.device), horizon)
-        loss = recipe.loss(
-            forecast_steps,
-            batch["positions"][:, :, :horizon].to(self.device),
-            batch["angular_velocities"][:, :, :horizon].to(self.device),
-        )
+        forecasts = self._autocast_forecasts(batch["frames"].to(self.device), horizon)
+        positions = batch["positions"][:, :, :horizon].to(self.device)
+        spins = batch["angular_velocities"][:, :, :horizon].to(self.device)
+        # All members read the same angular velocity.
+        loss = recipe.spin_loss(next(iter(forecasts.values())), spins)
+        for member in recipe.members:
+            loss = loss + member.weight * member.loss(forecasts[member.name], positions)
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.predictor.parameters(), recipe.gradient_clip)
+        torch.nn.utils.clip_grad_norm_(self.family.parameters(), recipe.gradient_clip)
         self._optimiser.step()
         self.batches += 1
-        self._average.update_parameters(self.predictor)
+        self._average.update_parameters(self.family)
         return float(loss.detach())
 
-    def _autocast_forecast(self, frames: torch.Tensor, horizon: int) -> Observation:
+    def _autocast_forecasts(self, frames: torch.Tensor, horizon: int) -> dict[str, Observation]:
         with torch.autocast(self.device.type, torch.bfloat16):
-            observed: Observation = self.predictor(frames, horizon)
-        return Observation(
-            observed.positions.float(),
-            None if observed.covariances is None else observed.covariances.float(),
-            None if observed.angular_velocities is None else observed.angular_velocities.float(),
-        )
+            observed: dict[str, Observation] = self.family(frames, horizon)
+        return {
+            name: Observation(*(None if part is None else part.float() for part in observation))
+            for name, observation in observed.items()
+        }
 
     def _validate(self, windows: dict[Source, list[Window]], events: SummaryWriter) -> None:
-        """Measure the averaged weights at T_train and keep them when they are the best."""
+        """Measure the averaged weights at T_train and keep them when their mean is the best."""
         horizon = self.recipe.trained_horizon
         averaged = self.averaged()
         errors: list[float] = []
         for source, source_windows in windows.items():
-            forecasts = forecast(averaged, source_windows, horizon, self.device)
-            by_step = forecasts.errors_px().mean(axis=(0, 1))
-            errors.append(float(by_step[-1]))
-            for step in sorted({1, horizon // 2, horizon}):
-                events.add_scalar(f"{source.name}/T={step}", by_step[step - 1], self.sequences)
+            for name, forecasts in forecast(averaged, source_windows, horizon, self.device).items():
+                by_step = forecasts.errors_px().mean(axis=(0, 1))
+                errors.append(float(by_step[-1]))
+                for step in sorted({1, horizon // 2, horizon}):
+                    tag = f"{name}/{source.name}/T={step}"
+                    events.add_scalar(tag, by_step[step - 1], self.sequences)
         error = sum(errors) / len(errors)
         events.add_scalar(f"validation/T={horizon}", error, self.sequences)
         if error < self._best_error:
             self._best_error = error
             _save(self.folder / BEST, self._weights())
 
-    def averaged(self) -> Predictor:
-        """Return the network with the averaged weights."""
+    def averaged(self) -> Family:
+        """Return the networks with the averaged weights."""
         module = self._average.module
-        assert isinstance(module, Predictor)
+        assert isinstance(module, Family)
         return module
 
     def _weights(self) -> dict[str, Any]:
         return {
-            "weights": self.averaged().state_dict(),
+            "weights": {
+                name: member.state_dict() for name, member in self.averaged().predictors().items()
+            },
             "sequences": self._earlier_sequences + self.sequences,
             "validation_error_px": self._best_error,
         }
@@ -206,7 +213,7 @@ class Trainer:
         _save(
             self.folder / CHECKPOINT,
             {
-                "predictor": self.predictor.state_dict(),
+                "family": self.family.state_dict(),
                 "average": self._average.state_dict(),
                 "optimiser": self._optimiser.state_dict(),
                 "batches": self.batches,
@@ -222,7 +229,7 @@ class Trainer:
         if not path.exists():
             return
         state = torch.load(path, map_location=self.device, weights_only=True)
-        self.predictor.load_state_dict(state["predictor"])
+        self.family.load_state_dict(state["family"])
         self._average.load_state_dict(state["average"])
         self._optimiser.load_state_dict(state["optimiser"])
         self.batches = state["batches"]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from training.recipes import DataShare, Milestone, Recipe, posnet, probnet
+from training.recipes import DataShare, Milestone, Recipe, one_ball
 from training.simulate import SHARD_SCENES, Source
 
 HEMISPHERE = Source("hemisphere")
@@ -19,19 +19,10 @@ def runs(tmp_path_factory):
         yield folder
 
 
-@pytest.fixture
-def tiny_posnet(runs) -> Recipe:
-    return tiny(posnet())
-
-
-@pytest.fixture
-def tiny_probnet(runs) -> Recipe:
-    return tiny(probnet())
-
-
-def tiny(recipe: Recipe) -> Recipe:
+@pytest.fixture(scope="session")
+def recipe(runs) -> Recipe:
     return replace(
-        recipe,
+        one_ball(),
         data=(DataShare(HEMISPHERE, SHARD_SCENES, share=1, latest_start=100),),
         scenarios=("hemisphere",),
         sequences=32,

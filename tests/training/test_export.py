@@ -13,34 +13,31 @@ from training.trainer import load_fitting
 
 
 @pytest.fixture(scope="module", params=["posnet", "probnet"])
-def exported(request, runs, tmp_path_factory):
-    from tests.training.conftest import tiny
-    from training.recipes import RECIPES
-
-    recipe = tiny(RECIPES[request.param]())
+def exported(request, recipe, tmp_path_factory):
+    name = request.param
     torch.manual_seed(5)
-    predictor = recipe.build()
+    predictor = recipe.build().predictors()[name]
     sets = evaluation_sets(recipe.scenarios, 1, "validation", recipe.validation_scenes, 1)
-    folder = tmp_path_factory.mktemp("models") / recipe.name / "1"
-    export(Trained(recipe, predictor, 0), folder, 1, sets, sets)
-    return recipe, predictor, folder, sets
+    folder = tmp_path_factory.mktemp("models") / name / "1"
+    export(Trained(recipe, name, predictor, 0), folder, 1, sets, sets)
+    return recipe, name, predictor, folder, sets
 
 
 def test_manifest_reads_back_and_names_every_file(exported):
-    recipe, _, folder, _ = exported
+    _, name, _, folder, _ = exported
     manifest = Manifest.read(folder / MANIFEST_FILE)
-    assert manifest.name == recipe.name
-    assert all((folder / name).exists() for name in manifest.files)
+    assert manifest.name == name
+    assert all((folder / file).exists() for file in manifest.files)
     assert all(
-        manifest.parity.max_abs_error[name] <= tolerance
-        for name, tolerance in manifest.parity.tolerance.items()
+        manifest.parity.max_abs_error[output] <= tolerance
+        for output, tolerance in manifest.parity.tolerance.items()
     )
-    assert manifest.covariance.source == ("predicted" if recipe.name == "probnet" else "empirical")
+    assert manifest.covariance.source == ("predicted" if name == "probnet" else "empirical")
 
 
 def test_a_network_that_differs_from_its_export_is_found_out(exported):
-    recipe, predictor, folder, sets = exported
-    other = recipe.build()
+    recipe, name, predictor, folder, sets = exported
+    other = recipe.build().predictors()[name]
     other.load_state_dict(predictor.state_dict())
     with torch.no_grad():
         next(other.transition.parameters()).add_(0.05)
@@ -50,11 +47,11 @@ def test_a_network_that_differs_from_its_export_is_found_out(exported):
 
 
 def test_parameters_come_back_from_the_graphs(exported):
-    recipe, predictor, folder, _ = exported
+    recipe, name, predictor, folder, _ = exported
     stored = read_parameters(folder)
-    for name, value in predictor.state_dict().items():
-        torch.testing.assert_close(stored[name], value, rtol=0, atol=0)
-    fresh = recipe.build()
+    for parameter, value in predictor.state_dict().items():
+        torch.testing.assert_close(stored[parameter], value, rtol=0, atol=0)
+    fresh = recipe.build().predictors()[name]
     assert set(load_fitting(fresh, stored)) == set(predictor.state_dict())
     assert read_initial(folder).sequences == 0
     _, rebuilt = load_exported(folder)
@@ -62,7 +59,7 @@ def test_parameters_come_back_from_the_graphs(exported):
 
 
 def test_any_batch_size_runs(exported):
-    _, _, folder, sets = exported
+    _, _, _, folder, sets = exported
     session = onnxruntime.InferenceSession(folder / ENCODER_FILE)
     frames = np.stack([window.frames for window in sets[0].windows[:5]])
     for size in (1, 2, 5):

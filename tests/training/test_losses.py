@@ -1,7 +1,13 @@
 import pytest
 import torch
 
-from training.losses import DistanceLoss, LikelihoodLoss, negative_log_likelihood, step_weights
+from training.losses import (
+    DistanceLoss,
+    LikelihoodLoss,
+    SpinLoss,
+    negative_log_likelihood,
+    step_weights,
+)
 from training.models.predictor import Observation
 
 
@@ -31,23 +37,21 @@ def test_step_weights_halve_where_they_say_and_average_one():
     assert float(weights[4] / weights[0]) == pytest.approx(0.5)
 
 
-def perfect(positions, spins, covariances=None):
-    return Observation(positions, covariances, spins)
-
-
 def test_losses_are_least_at_the_truth():
     positions = torch.rand(2, 1, 5, 2) * 128
-    spins = torch.randn(2, 1, 5, 3)
-    assert DistanceLoss()(perfect(positions, spins), positions, spins) == pytest.approx(0, abs=1e-6)
-    off = perfect(positions + 3, spins)
-    assert DistanceLoss()(off, positions, spins) > 3
+    at_truth = Observation(positions, None, None)
+    assert DistanceLoss()(at_truth, positions) == pytest.approx(0, abs=1e-6)
+    assert DistanceLoss()(Observation(positions + 3, None, None), positions) > 3
 
     covariances = torch.eye(2).expand(2, 1, 5, 2, 2)
-    likelihood = LikelihoodLoss(DistanceLoss(), halving=4)
-    at_truth = likelihood(perfect(positions, spins, covariances), positions, spins)
-    assert likelihood(perfect(positions + 1, spins, covariances), positions, spins) > at_truth
+    likelihood = LikelihoodLoss(halving=4)
+    at_truth, off = (Observation(positions + by, covariances, None) for by in (0, 1))
+    assert likelihood(off, positions) > likelihood(at_truth, positions)
 
 
-def test_without_angular_velocity_only_positions_count():
+def test_angular_velocity_counts_where_there_is_one():
     positions, spins = torch.rand(2, 1, 5, 2), torch.randn(2, 1, 5, 3)
-    assert DistanceLoss()(perfect(positions, None), positions, spins) == pytest.approx(0, abs=1e-6)
+    loss = SpinLoss()
+    assert loss(Observation(positions, None, spins), spins) == pytest.approx(0, abs=1e-6)
+    assert loss(Observation(positions, None, spins + 5), spins) > 0.3
+    assert loss(Observation(positions, None, None), spins) == 0

@@ -2,16 +2,20 @@ import pytest
 import torch
 
 from training.models.blocks import normalised_frames
-from training.models.posnet import compact_posnet
+from training.models.compact import HEADS, compact_family
 from training.models.predictor import (
     LARGEST_VARIANCE_PX2,
     SMALLEST_VARIANCE_PX2,
+    Family,
     GaussianOutput,
+    Predictor,
     logit_of_variance,
 )
-from training.models.probnet import compact_probnet
 
-BUILDERS = [compact_posnet, compact_probnet]
+
+def compact(variant: str, objects: int = 1, *, angular_velocity: bool = True) -> Predictor:
+    family = compact_family({"it": variant}, 4, objects, angular_velocity=angular_velocity)
+    return family.predictors()["it"]
 
 
 @pytest.fixture
@@ -20,32 +24,47 @@ def frames():
     return torch.randint(0, 256, (2, 4, 128, 128, 3), dtype=torch.uint8, generator=generator)
 
 
-@pytest.mark.parametrize("build", BUILDERS)
+@pytest.mark.parametrize("variant", HEADS)
 @pytest.mark.parametrize("objects", [1, 3])
-def test_shapes_of_a_rollout(build, objects, frames):
-    predictor = build(4, objects, angular_velocity=True)
+def test_shapes_of_a_rollout(variant, objects, frames):
+    predictor = compact(variant, objects)
     forecast = predictor(frames, 5)
     assert forecast.positions.shape == (2, objects, 5, 2)
     assert forecast.angular_velocities.shape == (2, objects, 5, 3)
-    if build is compact_probnet:
+    if variant == "probnet":
         assert forecast.covariances.shape == (2, objects, 5, 2, 2)
     else:
         assert forecast.covariances is None
 
 
-@pytest.mark.parametrize("build", BUILDERS)
-def test_a_longer_rollout_begins_like_a_shorter_one(build, frames):
-    predictor = build(4, 1, angular_velocity=True).eval()
+@pytest.mark.parametrize("variant", HEADS)
+def test_a_longer_rollout_begins_like_a_shorter_one(variant, frames):
+    predictor = compact(variant).eval()
     with torch.inference_mode():
         torch.testing.assert_close(
             predictor(frames, 6).positions[:, :, :3], predictor(frames, 3).positions
         )
 
 
-@pytest.mark.parametrize("build", BUILDERS)
-def test_every_parameter_gets_a_gradient(build, frames):
+def test_a_family_forecasts_what_its_members_forecast_alone(frames):
+    torch.manual_seed(2)
+    variants = {name: name for name in HEADS}
+    family = compact_family(variants, 4, 1, angular_velocity=True).eval()
+    with torch.inference_mode():
+        together = family(frames, 4)
+        for name, member in family.predictors().items():
+            torch.testing.assert_close(tuple(together[name]), tuple(member(frames, 4)))
+
+
+def test_predictors_that_share_nothing_are_no_family():
+    with pytest.raises(ValueError, match="share"):
+        Family({"one": compact("posnet"), "other": compact("dispnet")})
+
+
+@pytest.mark.parametrize("variant", HEADS)
+def test_every_parameter_gets_a_gradient(variant, frames):
     torch.manual_seed(0)
-    predictor = build(4, 1, angular_velocity=True)
+    predictor = compact(variant)
     # Blocks begin as the identity: their inner layers learn once the outer ones have moved.
     with torch.no_grad():
         for parameter in predictor.parameters():
@@ -60,7 +79,7 @@ def test_every_parameter_gets_a_gradient(build, frames):
 
 
 def test_angular_velocity_can_be_left_out(frames):
-    assert compact_posnet(4, 1, angular_velocity=False)(frames, 2).angular_velocities is None
+    assert compact("posnet", angular_velocity=False)(frames, 2).angular_velocities is None
 
 
 def test_covariances_keep_their_eigenvalues_within_the_bounds():

@@ -2,9 +2,17 @@ import numpy as np
 import pytest
 import torch
 
-from training.models.posnet import compact_posnet
+from training.models.compact import compact_family
 from training.recipes import Milestone
-from training.trainer import BEST, Pace, Trainer, horizon_at, learning_rate_factor, load_fitting
+from training.trainer import (
+    BEST,
+    Initial,
+    Pace,
+    Trainer,
+    horizon_at,
+    learning_rate_factor,
+    load_fitting,
+)
 
 PACE = Pace(validate_every=16, checkpoint_seconds=0, workers=0)
 
@@ -22,17 +30,17 @@ class TrainerThatDies(Trainer):
         return super()._step(batch, spent)
 
 
-def test_a_stopped_training_ends_with_the_same_weights(tiny_posnet, tmp_path):
-    whole = Trainer(tiny_posnet, tmp_path / "whole", PACE)
+def test_a_stopped_training_ends_with_the_same_weights(recipe, tmp_path):
+    whole = Trainer(recipe, tmp_path / "whole", PACE)
     whole.run()
     with pytest.raises(MachineLostError):
-        TrainerThatDies(tiny_posnet, tmp_path / "stopped", PACE).run()
-    resumed = Trainer(tiny_posnet, tmp_path / "stopped", PACE)
+        TrainerThatDies(recipe, tmp_path / "stopped", PACE).run()
+    resumed = Trainer(recipe, tmp_path / "stopped", PACE)
     resumed.run()
 
-    assert resumed.sequences == whole.sequences == tiny_posnet.sequences
+    assert resumed.sequences == whole.sequences == recipe.sequences
     for one, other in (
-        (whole.predictor, resumed.predictor),
+        (whole.family, resumed.family),
         (whole.averaged(), resumed.averaged()),
     ):
         expected = one.state_dict()
@@ -40,16 +48,14 @@ def test_a_stopped_training_ends_with_the_same_weights(tiny_posnet, tmp_path):
             torch.testing.assert_close(value, expected[name], rtol=0, atol=0)
 
 
-def test_training_lowers_the_error_and_keeps_the_best(tiny_probnet, tmp_path):
-    trainer = Trainer(tiny_probnet, tmp_path, PACE)
-    before = {name: value.clone() for name, value in trainer.predictor.state_dict().items()}
+def test_training_lowers_the_error_and_keeps_the_best(recipe, tmp_path):
+    trainer = Trainer(recipe, tmp_path, PACE)
+    before = {name: value.clone() for name, value in trainer.family.state_dict().items()}
     error = trainer.run()
     best = torch.load(tmp_path / BEST, weights_only=True)
     assert best["validation_error_px"] == error
-    assert best["sequences"] <= tiny_probnet.sequences
-    changed = [
-        n for n, v in trainer.predictor.state_dict().items() if not torch.equal(v, before[n])
-    ]
+    assert best["sequences"] <= recipe.sequences
+    changed = [n for n, v in trainer.family.state_dict().items() if not torch.equal(v, before[n])]
     assert set(changed) == set(before)
 
 
@@ -68,6 +74,25 @@ def test_learning_rate_rises_then_falls_to_zero():
 
 
 def test_foreign_parameters_are_refused():
-    network = compact_posnet(4, 1, angular_velocity=True)
+    family = compact_family({"one": "posnet"}, 4, 1, angular_velocity=True)
     with pytest.raises(ValueError, match="share no name"):
-        load_fitting(network, {"somebody.else": torch.zeros(3)})
+        load_fitting(family.predictors()["one"], {"somebody.else": torch.zeros(3)})
+
+
+def test_networks_begin_with_their_own_heads_and_the_first_ones_encoder(recipe, tmp_path):
+    torch.manual_seed(7)
+    posnet, probnet = (recipe.build().predictors()[name] for name in ("posnet", "probnet"))
+    initial = [
+        Initial("probnet", probnet.state_dict(), 96),
+        Initial("posnet", posnet.state_dict(), 640),
+    ]
+    members = Trainer(recipe, tmp_path, PACE, initial).family.predictors()
+    for name, own in (("posnet", posnet), ("probnet", probnet)):
+        torch.testing.assert_close(
+            members[name].motion.state_dict(), own.motion.state_dict(), rtol=0, atol=0
+        )
+    for member in members.values():
+        assert member.encoder is members["posnet"].encoder
+    torch.testing.assert_close(
+        members["posnet"].encoder.state_dict(), probnet.encoder.state_dict(), rtol=0, atol=0
+    )

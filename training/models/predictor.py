@@ -1,7 +1,7 @@
 """The recurrent predictor: encoder, transition, motion, read-outs, composed (design, section 4)."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import torch
@@ -105,6 +105,13 @@ class GaussianOutput(nn.Module):
         return pixels(p_BNP[..., :2]), covariance
 
 
+class Head(NamedTuple):
+    """What tells one variant from another: how positions come from the states."""
+
+    motion: Motion
+    output: nn.Module
+
+
 def pixels(position: Tensor) -> Tensor:
     """Network units to 128-pixel units."""
     return PIXEL_UNIT + PIXEL_UNIT * position
@@ -117,7 +124,7 @@ def logit_of_variance(variance_px2: float) -> float:
 
 
 class Predictor(nn.Module):
-    """Encoder x transition x motion x output x angular velocity.
+    """Encoder x transition x head x angular velocity.
 
     Parameters
     ----------
@@ -125,10 +132,8 @@ class Predictor(nn.Module):
         Frames uint8 [B, K, 128, 128, 3] to s_0 [B, N, C, 8, 8].
     transition
         s_t to s_{t+1}.
-    motion
-        Start and move of p_t.
-    output
-        p_t to positions and covariances.
+    head
+        Start and move of p_t; p_t to positions and covariances.
     spin
         s_t to angular velocities in units of 20 rad/s, or None ("w/o ang. vel.").
     """
@@ -137,15 +142,13 @@ class Predictor(nn.Module):
         self,
         encoder: nn.Module,
         transition: nn.Module,
-        motion: Motion,
-        output: nn.Module,
+        head: Head,
         spin: nn.Module | None,
     ) -> None:
         super().__init__()
         self.encoder = encoder
         self.transition = transition
-        self.motion = motion
-        self.output = output
+        self.motion, self.output = head
         self.spin = spin
 
     def start(self, frames_BKHW3: Tensor) -> State:
@@ -160,9 +163,11 @@ class Predictor(nn.Module):
 
     def observe(self, state: State) -> Observation:
         """Observation y_t of a state."""
-        positions, covariances = self.output(state.p)
-        spin = None if self.spin is None else ANGULAR_VELOCITY_UNIT * self.spin(state.s)
-        return Observation(positions, covariances, spin)
+        return Observation(*self.output(state.p), self.angular_velocity(state.s))
+
+    def angular_velocity(self, s: Tensor) -> Tensor | None:
+        """Angular velocity in rad/s, or None."""
+        return None if self.spin is None else ANGULAR_VELOCITY_UNIT * self.spin(s)
 
     def forward(self, frames_BKHW3: Tensor, horizon: int) -> Observation:
         """Observations of the steps 0..horizon-1, stacked after the objects' axis."""
@@ -171,11 +176,66 @@ class Predictor(nn.Module):
         for _ in range(horizon - 1):
             state = self.advance(state)
             steps.append(self.observe(state))
-        return Observation(
-            torch.stack([step.positions for step in steps], dim=2),
-            _stacked([step.covariances for step in steps]),
-            _stacked([step.angular_velocities for step in steps]),
-        )
+        return _rollout(steps)
+
+
+class Family(nn.Module):
+    """Predictors that share encoder, transition and spin read-out, rolled out together.
+
+    The distributed state is by far the larger part of the work and is the same for all of them, so
+    all are trained for little more than the price of one.
+
+    Parameters
+    ----------
+    members
+        Predictors by name, made of the same encoder, transition and spin modules.
+    """
+
+    def __init__(self, members: Mapping[str, Predictor]) -> None:
+        super().__init__()
+        self.members = nn.ModuleDict(members)
+        first = next(iter(members.values()))
+        if any(
+            (member.encoder, member.transition, member.spin)
+            != (first.encoder, first.transition, first.spin)
+            for member in members.values()
+        ):
+            raise ValueError("the members of a family share encoder, transition and spin read-out")
+
+    def predictors(self) -> dict[str, Predictor]:
+        """Return the members by name."""
+        members: dict[str, Predictor] = {}
+        for name, member in self.members.items():
+            assert isinstance(member, Predictor)
+            members[name] = member
+        return members
+
+    def forward(self, frames_BKHW3: Tensor, horizon: int) -> dict[str, Observation]:
+        """Observations of the steps 0..horizon-1 of every member."""
+        members = self.predictors()
+        shared = next(iter(members.values()))
+        s = shared.encoder(frames_BKHW3)
+        motions = {name: member.motion.start(s) for name, member in members.items()}
+        steps: dict[str, list[Observation]] = {name: [] for name in members}
+        for step in range(horizon):
+            if step > 0:
+                s_next = shared.transition(s)
+                for name, member in members.items():
+                    motions[name] = member.motion.move(motions[name], s, s_next)
+                s = s_next
+            spin = shared.angular_velocity(s)
+            for name, member in members.items():
+                steps[name].append(Observation(*member.output(motions[name]), spin))
+        return {name: _rollout(observed) for name, observed in steps.items()}
+
+
+def _rollout(steps: Sequence[Observation]) -> Observation:
+    """Stack the steps' observations after the objects' axis."""
+    return Observation(
+        torch.stack([step.positions for step in steps], dim=2),
+        _stacked([step.covariances for step in steps]),
+        _stacked([step.angular_velocities for step in steps]),
+    )
 
 
 def _stacked(steps: Sequence[Tensor | None]) -> Tensor | None:
