@@ -1,25 +1,27 @@
-"""``python -m training simulate | calibrate | train | evaluate | export | report``."""
+"""``python -m training simulate | calibrate | train | evaluate | export | campaign | report``."""
 
 import argparse
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
-import torch
-
+from rollcast.manifest import MANIFEST_FILE, Manifest
 from rollcast.scene import SCENARIOS
-from training import calibration
+from training import calibration, campaign
 from training.artefact import load_exported, read_initial
-from training.evaluate import EvaluationSet, evaluation_sets, markdown_table, metric_rows, run
-from training.export import Trained, export, with_covariance
+from training.evaluate import evaluation_sets, markdown_table, metric_rows, run
+from training.export import export_run, with_covariance
+from training.publish import publish
 from training.recipes import RECIPES
-from training.report import committed, with_results
+from training.report import with_results
+from training.results import committed
 from training.settings import runs_folder
 from training.simulate import Source, simulate_split
-from training.splits import Split
-from training.trainer import BEST, Pace, Trainer
+from training.trainer import Pace, Trainer
 
 MODELS = Path("models")
 README = Path("README.md")
+DOCS = Path("docs")
 
 
 def main() -> None:
@@ -71,9 +73,13 @@ def _parser() -> argparse.ArgumentParser:
     train.set_defaults(run=_train)
 
     evaluate = commands.add_parser(
-        "evaluate", parents=[processes], help="measure an exported model on fixed scenes"
+        "evaluate", parents=[processes], help="measure exported models on fixed scenes"
     )
-    evaluate.add_argument("model", type=Path, help="models/NAME/VERSION")
+    subject = evaluate.add_mutually_exclusive_group(required=True)
+    subject.add_argument("model", type=Path, nargs="?", help="models/NAME/VERSION")
+    subject.add_argument(
+        "--all", action="store_true", help="every committed model, into docs/results (test split)"
+    )
     evaluate.add_argument("--split", choices=("validation", "test"), default="test")
     evaluate.add_argument("--scenes", type=int, default=500, help="scenes per scenario")
     evaluate.set_defaults(run=_evaluate)
@@ -86,6 +92,17 @@ def _parser() -> argparse.ArgumentParser:
     exported.add_argument("--models", type=Path, default=MODELS)
     exported.add_argument("--scenes", type=int, default=500, help="test scenes per scenario")
     exported.set_defaults(run=_export)
+
+    campaigned = commands.add_parser(
+        "campaign",
+        parents=[processes],
+        help="train every family in rounds and export what got better, until nothing gains",
+    )
+    campaigned.add_argument(
+        "--sequences", type=int, default=200_000, help="training sequences of a round"
+    )
+    campaigned.add_argument("--scenes", type=int, default=500, help="test scenes per scenario")
+    campaigned.set_defaults(run=_campaign)
 
     reported = commands.add_parser(
         "report", help="write the README's table of results from the committed models"
@@ -114,37 +131,46 @@ def _train(arguments: argparse.Namespace) -> None:
 
 
 def _evaluate(arguments: argparse.Namespace) -> None:
+    if arguments.all:
+        if arguments.split != "test":
+            raise SystemExit(f"--all measures the test split, not --split {arguments.split}")
+        results = publish(MODELS, DOCS, arguments.scenes, arguments.workers)
+        print(f"{len(results.cells)} figures in {DOCS / 'results.md'}")
+        return
     manifest, predictor = load_exported(arguments.model)
     sets = evaluation_sets(
-        manifest.scenarios, manifest.objects, arguments.split, arguments.scenes, arguments.workers
+        manifest.scenarios,
+        manifest.objects,
+        manifest.final_step,
+        arguments.split,
+        arguments.scenes,
+        arguments.workers,
     )
     forecasts = with_covariance(run(predictor, sets), manifest.covariance)
     print(markdown_table(metric_rows(sets, forecasts, manifest.trained_horizon)))
 
 
 def _export(arguments: argparse.Namespace) -> None:
-    recipe = RECIPES[arguments.recipe]()
-    weights = runs_folder() / arguments.recipe / BEST
-    if not weights.exists():
-        raise SystemExit(
-            f"no trained weights at {weights}: run `python -m training train {arguments.recipe}` "
-            "first, or name the folder of its runs with ROLLCAST_RUNS"
-        )
-    best = torch.load(weights, map_location="cpu", weights_only=True)
-
-    def sets(split: Split, scenes: int) -> list[EvaluationSet]:
-        return evaluation_sets(recipe.scenarios, recipe.objects, split, scenes, arguments.workers)
-
-    validation, test = sets("validation", recipe.validation_scenes), sets("test", arguments.scenes)
-    for name, predictor in recipe.build().predictors().items():
-        predictor.load_state_dict(best["weights"][name])
-        manifest = export(
-            Trained(recipe, name, predictor, best["sequences"]),
-            arguments.models / name / str(arguments.version),
+    try:
+        manifests = export_run(
+            RECIPES[arguments.recipe](),
+            runs_folder() / arguments.recipe,
+            arguments.models,
             arguments.version,
-            validation,
-            test,
+            arguments.scenes,
+            arguments.workers,
         )
+    except FileNotFoundError as error:
+        raise SystemExit(
+            f"no trained weights at {error.filename}: run `python -m training train "
+            f"{arguments.recipe}` first, or name the folder of its runs with ROLLCAST_RUNS"
+        ) from error
+    _show(manifests)
+
+
+def _show(manifests: Sequence[Manifest]) -> None:
+    """Print how exports were proved and how well they do on the test split."""
+    for manifest in manifests:
         print(f"## {manifest.label}\n")
         for output, error in manifest.parity.max_abs_error.items():
             tolerance = manifest.parity.tolerance[output]
@@ -152,9 +178,26 @@ def _export(arguments: argparse.Namespace) -> None:
         print(f"\n{markdown_table([row for row in manifest.metrics if row.split == 'test'])}\n")
 
 
+def _campaign(arguments: argparse.Namespace) -> None:
+    folder = runs_folder() / "campaign"
+    while chosen := campaign.next_round(campaign.lines(), folder, MODELS, arguments.sequences):
+        print(f"{chosen.recipe.name}, round {chosen.number}: {chosen.recipe.sequences} sequences")
+        outcome = campaign.train(chosen, MODELS)
+        print(f"{outcome.error_before_px} px before, {outcome.error_px} px now")
+        if outcome.gain > 0:
+            _show(
+                export_run(
+                    chosen.recipe, chosen.folder, MODELS, 1, arguments.scenes, arguments.workers
+                )
+            )
+        campaign.finish(chosen, outcome)
+    print("no family gains enough any more")
+
+
 def _report(_: argparse.Namespace) -> None:
+    manifests = [Manifest.read(folder / MANIFEST_FILE) for folder in committed(MODELS)]
     text = README.read_text(encoding="utf-8")
-    README.write_text(with_results(text, committed(MODELS)), encoding="utf-8")
+    README.write_text(with_results(text, manifests), encoding="utf-8")
 
 
 if __name__ == "__main__":

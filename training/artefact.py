@@ -8,8 +8,8 @@ import torch
 from onnx import numpy_helper
 
 from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, STEP_FILE, Manifest
-from training.models.compact import compact_family
 from training.models.predictor import Predictor
+from training.models.presets import PRESETS
 from training.trainer import Initial
 
 
@@ -40,12 +40,14 @@ def load_exported(folder: Path) -> tuple[Manifest, Predictor]:
         When a parameter of the network is missing in the graphs.
     """
     manifest = Manifest.read(folder / MANIFEST_FILE)
-    predictor = compact_family(
+    family = PRESETS[manifest.preset](
         {manifest.name: manifest.variant},
         manifest.frames,
         manifest.objects,
         angular_velocity=manifest.angular_velocity,
-    ).predictors()[manifest.name]
+        interaction=bool(manifest.training.get("interaction", True)),
+    )
+    predictor = family.predictors()[manifest.name]
     stored = read_parameters(folder)
     own = predictor.state_dict()
     missing = sorted(own.keys() - stored.keys())

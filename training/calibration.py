@@ -1,6 +1,5 @@
 """Shows how hard the world is beside the paper's: its averages, re-measured (decision 0010)."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,27 +11,11 @@ from rollcast.simulation.recording import STOPPED_M_S, TEST_START
 from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ
 from training.evaluate import LINE_POINTS
 from training.metrics import line_through_ten
+from training.paper import angular_speed_rad_s, published
 from training.splits import seeds
 
 LONGEST_FRAMES = 900
 """Frames in which every ball has long stopped."""
-
-
-@dataclass(frozen=True)
-class Published:
-    """The paper's averages for a scenario; None where it gives none that can be trusted."""
-
-    line_px: tuple[float, float] | None
-    """Error of a line through ten true positions at T = 20 and T = 40 (table 2)."""
-    angular_speed_rad_s: float
-
-
-PUBLISHED: Mapping[Scenario, Published] = {
-    "hemisphere": Published((39.2, 127.5), 5.94),
-    # The ellipsoid's cells of the Linear row look scrambled (17.9 / 61.9 / 23.3 / 20.1 / 80.0).
-    "ellipsoid": Published(None, 5.94),
-    "heightfield": Published((21.3, 61.9), 2.8),
-}
 
 
 @dataclass(frozen=True)
@@ -73,10 +56,16 @@ def report(scenes: int) -> str:
         "|---|---|---|---|",
     ]
     for scenario in SCENARIOS:
-        ours, paper = measure(scenario, scenes), PUBLISHED[scenario]
-        published = paper.line_px or ("-", "-")
-        lines.append(
-            f"| {scenario} | {ours.line_px[0]:.1f} ({published[0]}) | {ours.line_px[1]:.1f} "
-            f"({published[1]}) | {ours.angular_speed_rad_s:.2f} ({paper.angular_speed_rad_s}) |"
+        ours = measure(scenario, scenes)
+        line = " | ".join(
+            f"{error:.1f} ({_line_of_the_paper(scenario, at)})"
+            for error, at in zip(ours.line_px, ("T=20", "T=40"), strict=True)
         )
+        speed = f"{ours.angular_speed_rad_s:.2f} ({angular_speed_rad_s(scenario)})"
+        lines.append(f"| {scenario} | {line} | {speed} |")
     return "\n".join(lines)
+
+
+def _line_of_the_paper(scenario: Scenario, at: str) -> str:
+    cell = published(scenario, 1, "line", at)
+    return "-" if cell is None else str(cell.position_error_px)

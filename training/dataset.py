@@ -22,6 +22,12 @@ from training.simulate import STORED_FRAMES, Recording
 MAX_HORIZON = 40
 """Longest forecast that training or evaluation asks of a stored simulation (T_gen)."""
 
+
+def generated_horizon(objects: int) -> int:
+    """T_gen: the longest horizon that the paper's tables report for so many balls."""
+    return MAX_HORIZON if objects == 1 else 30
+
+
 LAST_START = STORED_FRAMES - FIRST_FORECAST_FRAME - MAX_HORIZON
 """Last frame of a stored simulation at which such a window can begin."""
 
@@ -72,10 +78,17 @@ class Symmetry:
 
 
 class WindowMaker:
-    """Cuts and renders windows; keeps the shaded background of every scene it has seen."""
+    """Cuts and renders windows; keeps the shaded background of every scene it has seen.
 
-    def __init__(self, recordings: Sequence[Recording]) -> None:
+    Parameters
+    ----------
+    final_step
+        Forecast step that a fifth frame shows; None leaves that frame out.
+    """
+
+    def __init__(self, recordings: Sequence[Recording], final_step: int | None) -> None:
         self._recordings = recordings
+        self._final_step = final_step
         self._renderers: dict[int, Renderer] = {}
 
     def window(self, index: int, start: int, horizon: int) -> Window:
@@ -85,6 +98,9 @@ class WindowMaker:
         if index not in self._renderers:
             self._renderers[index] = Renderer(scene, camera)
         frames = self._renderers[index].render(trajectory.window(start, OBSERVED_FRAMES))
+        if self._final_step is not None:
+            last = trajectory.window(start + FIRST_FORECAST_FRAME + self._final_step, 1)
+            frames = np.concatenate([frames, self._renderers[index].render(last)])
         steps = trajectory.window(start + FIRST_FORECAST_FRAME, horizon)
         return Window(
             frames,
@@ -102,6 +118,8 @@ class TrainingStream(IterableDataset[Batch]):
         Recordings by source, with the share of the batch that each gets.
     latest_starts
         For every group, the last frame at which a window may begin.
+    final_step
+        Forecast step that a fifth frame shows; None leaves that frame out.
     """
 
     def __init__(
@@ -109,6 +127,7 @@ class TrainingStream(IterableDataset[Batch]):
         groups: Sequence[Sequence[Recording]],
         shares: Sequence[float],
         latest_starts: Sequence[int],
+        final_step: int | None,
         batch_size: int,
         seed: int,
         first_batch: int,
@@ -117,7 +136,7 @@ class TrainingStream(IterableDataset[Batch]):
             raise ValueError(
                 f"latest_start is {max(latest_starts)}; at most {LAST_START} is stored"
             )
-        self._makers = [WindowMaker(group) for group in groups]
+        self._makers = [WindowMaker(group, final_step) for group in groups]
         self._sizes = [len(group) for group in groups]
         self._shares = np.asarray(shares) / np.sum(shares)
         self._latest_starts = latest_starts
@@ -145,9 +164,11 @@ class TrainingStream(IterableDataset[Batch]):
         return symmetry.apply(self._makers[group].window(index, start, MAX_HORIZON))
 
 
-def fixed_windows(recordings: Sequence[Recording], horizon: int) -> list[Window]:
+def fixed_windows(
+    recordings: Sequence[Recording], horizon: int, final_step: int | None
+) -> list[Window]:
     """Every recording once, seen from its scenario's fixed test start."""
-    maker = WindowMaker(recordings)
+    maker = WindowMaker(recordings, final_step)
     return [
         maker.window(index, TEST_START[recording.scene.scenario], horizon)
         for index, recording in enumerate(recordings)

@@ -9,7 +9,7 @@ from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.manifest import MetricRow
 from rollcast.scene import Scenario
 from rollcast.simulation.recording import TEST_START
-from training.dataset import MAX_HORIZON, Window, fixed_windows
+from training.dataset import Window, fixed_windows, generated_horizon
 from training.metrics import Forecasts, forecast, line_through_ten, stays_put
 from training.models.predictor import Family, Predictor
 from training.simulate import Recording, Source, load_recordings, simulate_split
@@ -28,18 +28,35 @@ class EvaluationSet:
     line: np.ndarray
     """Forecast of the line through ten true positions [sequences, objects, T, 2]."""
 
+    @property
+    def horizon(self) -> int:
+        """T_gen."""
+        return self.line.shape[2]
+
 
 def evaluation_sets(
-    scenarios: Sequence[Scenario], objects: int, split: Split, scenes: int, workers: int
+    scenarios: Sequence[Scenario],
+    objects: int,
+    final_step: int | None,
+    split: Split,
+    scenes: int,
+    workers: int,
 ) -> list[EvaluationSet]:
-    """Simulate (or load) and render the first ``scenes`` scenes of a split of every scenario."""
+    """Simulate (or load) and render the first ``scenes`` scenes of a split of every scenario.
+
+    Parameters
+    ----------
+    final_step
+        Forecast step that a fifth frame shows; None leaves that frame out.
+    """
+    horizon = generated_horizon(objects)
     sets: list[EvaluationSet] = []
     for scenario in scenarios:
         shards = simulate_split(Source(scenario, objects), split, scenes, workers)
         recordings = load_recordings(shards)
         history = np.stack([_first_positions(recording) for recording in recordings])
-        windows = fixed_windows(recordings, MAX_HORIZON)
-        sets.append(EvaluationSet(scenario, split, windows, line_through_ten(history, MAX_HORIZON)))
+        windows = fixed_windows(recordings, horizon, final_step)
+        sets.append(EvaluationSet(scenario, split, windows, line_through_ten(history, horizon)))
     return sets
 
 
@@ -55,7 +72,7 @@ def run(predictor: Predictor, sets: Sequence[EvaluationSet]) -> Mapping[Scenario
     device = next(predictor.parameters()).device
     alone = Family({"it": predictor})
     return {
-        part.scenario: forecast(alone, part.windows, MAX_HORIZON, device)["it"] for part in sets
+        part.scenario: forecast(alone, part.windows, part.horizon, device)["it"] for part in sets
     }
 
 
@@ -65,16 +82,16 @@ def metric_rows(
     trained_horizon: int,
 ) -> list[MetricRow]:
     """Make the rows of a model's table, one a scenario and reported horizon."""
-    horizons = sorted({1, trained_horizon // 2, trained_horizon, MAX_HORIZON})
     rows: list[MetricRow] = []
     for part in sets:
+        horizons = sorted({1, trained_horizon // 2, trained_horizon, part.horizon})
         made = forecasts[part.scenario]
         errors = made.errors_px()
         truth = made.true_positions
         rest = np.linalg.norm(stays_put(truth) - truth, axis=-1).mean(axis=(0, 1))
         line = np.linalg.norm(part.line - truth, axis=-1).mean(axis=(0, 1))
         spin, perplexity = made.angular_velocity_rmse(), made.perplexity()
-        coverage = made.calibration()
+        coverage = made.calibration((0.50, 0.95))
         for horizon in horizons:
             step = horizon - 1
             of_step = errors[:, :, step].mean(axis=1)

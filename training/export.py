@@ -35,19 +35,21 @@ from rollcast.manifest import (
     StateTensor,
 )
 from rollcast.scene import Scenario
-from rollcast.trajectory import FRAME_RATE_HZ
+from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 from training.dataset import Window, collate
-from training.evaluate import EvaluationSet, markdown_table, metric_rows, run
+from training.evaluate import EvaluationSet, evaluation_sets, markdown_table, metric_rows, run
 from training.metrics import Forecasts
 from training.models.predictor import Head, Observation, Predictor, State
 from training.recipes import Recipe
 from training.settings import keep_runtime_silent
+from training.trainer import BEST
 
 STATE_NAMES = State._fields
 TOLERANCE: Mapping[OutputName, float] = {
     "positions": 1e-2,
     "covariances": 5e-2,
     "angular_velocities": 5e-2,
+    "final_positions": 1e-2,
 }
 """px, px^2 and rad/s: the largest difference between torch and ONNX Runtime that passes."""
 
@@ -55,6 +57,7 @@ UNITS: Mapping[OutputName, str] = {
     "positions": "px",
     "covariances": "px^2",
     "angular_velocities": "rad/s",
+    "final_positions": "px",
 }
 GOLDEN_SEQUENCES = 2
 LICENCE = "Apache-2.0"
@@ -66,7 +69,7 @@ class EncoderGraph(Predictor):
     def forward(self, frames: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Frames to the state and the first observation, as positional tensors."""
         state = self.start(frames)
-        return *state, *_present(self.observe(state))
+        return *state, *_present(self.observe_first(state))
 
 
 class StepGraph(Predictor):
@@ -87,6 +90,31 @@ class Trained:
     predictor: Predictor
     sequences: int
     """Training sequences that its weights have seen."""
+
+
+def export_run(
+    recipe: Recipe, folder: Path, models: Path, version: int, test_scenes: int, workers: int
+) -> list[Manifest]:
+    """Export every member of a recipe with the best weights of its run.
+
+    Raises
+    ------
+    FileNotFoundError
+        When the run has no weights yet.
+    ValueError
+        When torch and ONNX Runtime differ by more than the tolerance.
+    """
+    best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
+    kind = (recipe.scenarios, recipe.objects, recipe.final_step)
+    validation = evaluation_sets(*kind, "validation", recipe.validation_scenes, workers)
+    test = evaluation_sets(*kind, "test", test_scenes, workers)
+    manifests: list[Manifest] = []
+    for name, predictor in recipe.build().predictors().items():
+        predictor.load_state_dict(best["weights"][name])
+        trained = Trained(recipe, name, predictor, best["sequences"])
+        to = models / name / str(version)
+        manifests.append(export(trained, to, version, validation, test))
+    return manifests
 
 
 def export(
@@ -138,9 +166,9 @@ def export(
         preset=trained.recipe.preset,
         scenarios=trained.recipe.scenarios,
         objects=trained.recipe.objects,
-        observed_frames=4,
-        frames=4,
-        final_step=None,
+        observed_frames=OBSERVED_FRAMES,
+        frames=trained.recipe.frames,
+        final_step=trained.recipe.final_step,
         frame_rate_hz=FRAME_RATE_HZ,
         frame_size=NETWORK_FRAME_SIZE,
         trained_horizon=horizon,
@@ -159,6 +187,7 @@ def export(
         training={
             "sequences": trained.sequences,
             "seed": trained.recipe.seed,
+            "interaction": trained.recipe.interaction,
             "scenes": {part.source.name: part.scenes for part in trained.recipe.data},
         },
         metrics=tuple(rows),
@@ -179,13 +208,19 @@ def _present(observation: Observation) -> tuple[Tensor, ...]:
 def _observation_of(predictor: Predictor, frames: Tensor) -> dict[OutputName, Tensor]:
     """First observation by output name, without what the network does not have."""
     with torch.inference_mode():
-        observation = predictor.observe(predictor.start(frames))
+        observation = predictor.observe_first(predictor.start(frames))
     named: dict[OutputName, Tensor | None] = {
         "positions": observation.positions,
         "covariances": observation.covariances,
         "angular_velocities": observation.angular_velocities,
+        "final_positions": observation.final_positions,
     }
     return {name: value for name, value in named.items() if value is not None}
+
+
+def _of_a_step(outputs: Sequence[OutputName]) -> list[OutputName]:
+    """Return the step graph's outputs: the final position is said by the encoder alone."""
+    return [name for name in outputs if name != "final_positions"]
 
 
 def _spread(sets: Sequence[EvaluationSet], windows: int) -> list[Window]:
@@ -194,7 +229,7 @@ def _spread(sets: Sequence[EvaluationSet], windows: int) -> list[Window]:
 
 
 def _write_graphs(predictor: Predictor, frames: Tensor, folder: Path) -> None:
-    head = Head(predictor.motion, predictor.output)
+    head = Head(predictor.motion, predictor.output, predictor.final)
     parts = (predictor.encoder, predictor.transition, head, predictor.spin)
     outputs = list(_observation_of(predictor, frames))
     batch = torch.export.Dim("batch", min=1, max=4096)
@@ -206,7 +241,7 @@ def _write_graphs(predictor: Predictor, frames: Tensor, folder: Path) -> None:
     )  # fmt: skip
     _write_graph(
         StepGraph(*parts), tuple(state), list(STATE_NAMES),
-        [*(NEXT_PREFIX + name for name in STATE_NAMES), *outputs],
+        [*(NEXT_PREFIX + name for name in STATE_NAMES), *_of_a_step(outputs)],
         {name: {0: batch} for name in STATE_NAMES}, folder / STEP_FILE,
     )  # fmt: skip
 
@@ -282,15 +317,24 @@ def _roll_onnx(
 
     encoder = onnxruntime.InferenceSession(folder / ENCODER_FILE)
     step = onnxruntime.InferenceSession(folder / STEP_FILE)
-    split = len(STATE_NAMES)
     values = encoder.run([*STATE_NAMES, *outputs], {FRAMES_INPUT: frames})
-    rows = [values[split:]]
+    state, first = values[: len(STATE_NAMES)], values[len(STATE_NAMES) :]
+    rows: dict[OutputName, list[np.ndarray]] = {
+        name: [value] for name, value in zip(outputs, first, strict=True)
+    }
+    stepped = _of_a_step(outputs)
     for _ in range(horizon - 1):
-        state = dict(zip(STATE_NAMES, values[:split], strict=True))
-        values = step.run([*(NEXT_PREFIX + name for name in STATE_NAMES), *outputs], state)
-        rows.append(values[split:])
-    stacked = [np.stack(parts, axis=2) for parts in zip(*rows, strict=True)]
-    return dict(zip(outputs, stacked, strict=True))
+        values = step.run(
+            [*(NEXT_PREFIX + name for name in STATE_NAMES), *stepped],
+            dict(zip(STATE_NAMES, state, strict=True)),
+        )
+        state = values[: len(STATE_NAMES)]
+        for name, value in zip(stepped, values[len(STATE_NAMES) :], strict=True):
+            rows[name].append(value)
+    return {
+        name: np.stack(parts, axis=2) if name in stepped else parts[0]
+        for name, parts in rows.items()
+    }
 
 
 def fit_covariance(forecasts: Mapping[Scenario, Forecasts]) -> CovarianceSource:
@@ -348,6 +392,9 @@ def model_card(
         "predicted": "predicted by the network, times a scale per step fitted on validation",
         "empirical": "the covariance of the network's own validation residuals at each step",
     }[covariance.source]
+    frames = "four 128 x 128 frames"
+    if recipe.final_step is not None:
+        frames += f" and the one of step {recipe.final_step}"
     scenes = ", ".join(f"{part.scenes} {part.source.name}" for part in recipe.data)
     others = [member.name for member in recipe.members if member.name != trained.name]
     together = (
@@ -356,7 +403,7 @@ def model_card(
     return f"""# {trained.name}@{version}
 
 {recipe.member(trained.name).variant} ({recipe.preset} preset), {recipe.objects} ball(s), scenarios
-{", ".join(recipe.scenarios)}. It sees four 128 x 128 frames at {FRAME_RATE_HZ} Hz and was trained
+{", ".join(recipe.scenarios)}. It sees {frames} at {FRAME_RATE_HZ} Hz and was trained
 to forecast {recipe.trained_horizon} steps.
 
 - Trained on {trained.sequences:,} sequences from simulated scenes: {scenes}.{together}

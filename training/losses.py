@@ -4,6 +4,7 @@ The loss of a network is that of its positions plus that of its angular velociti
 5.1).
 """
 
+import math
 from typing import Protocol
 
 import torch
@@ -53,18 +54,25 @@ class DistanceLoss:
 class LikelihoodLoss:
     """Negative log likelihood with the paper's regulariser lambda det(Sigma).
 
-    Paper, sections 3.3 and 5.2; lambda = 0.01.
+    Paper, sections 3.3 and 5.2; lambda = 0.01. Beyond ``outlier`` standard deviations it grows
+    linearly: one forecast that is far off and sure of itself would otherwise outweigh its whole
+    batch (docs/experiments.md).
     """
 
-    def __init__(self, halving: float, regulariser: float = 0.01) -> None:
+    def __init__(self, halving: float, regulariser: float = 0.01, outlier: float = 3.0) -> None:
         self._halving = halving
         self._regulariser = regulariser
+        self._outlier = outlier
 
     def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
-        """Loss of a forecast, which has covariances, in nats."""
+        """Loss of a forecast, which has covariances, in nats up to a constant."""
         assert forecast.covariances is not None
         weights = step_weights(positions_BNT2.shape[2], self._halving)
-        nll = negative_log_likelihood(forecast.positions, forecast.covariances, positions_BNT2)
+        squared = mahalanobis(forecast.positions, forecast.covariances, positions_BNT2)
+        limit = self._outlier
+        linear = 2 * limit * squared.clamp(min=limit**2).sqrt() - limit**2
+        bounded = torch.where(squared < limit**2, squared, linear)
+        nll = 0.5 * (bounded + determinant(forecast.covariances).log())
         penalty = self._regulariser * determinant(forecast.covariances)
         return (weights.to(nll.device) * (nll + penalty)).mean()
 
@@ -97,6 +105,12 @@ class SpinLoss:
         return self._weight * (weights * error).mean()
 
 
+def final_loss(forecast: Observation, final_positions_BN2: Tensor) -> Tensor:
+    """Mean distance in pixels between what h_0 says of the final frame and the truth."""
+    assert forecast.final_positions is not None
+    return smooth_distance(forecast.final_positions - final_positions_BN2, 0.5).mean()
+
+
 def smooth_distance(difference: Tensor, rounding: float) -> Tensor:
     """Euclidean distance over the last axis, smooth at zero."""
     return (difference.square().sum(-1) + rounding**2).sqrt() - rounding
@@ -104,11 +118,15 @@ def smooth_distance(difference: Tensor, rounding: float) -> Tensor:
 
 def negative_log_likelihood(positions: Tensor, covariances: Tensor, truth: Tensor) -> Tensor:
     """-log N(truth; positions, covariances) in nats, over the last axes [2] and [2, 2]."""
+    squared = mahalanobis(positions, covariances, truth)
+    return 0.5 * (squared + determinant(covariances).log()) + math.log(2 * math.pi)
+
+
+def mahalanobis(positions: Tensor, covariances: Tensor, truth: Tensor) -> Tensor:
+    """Return squared Mahalanobis distances over the last axes [2] and [2, 2]."""
     dx, dy = (truth - positions).unbind(-1)
-    det = determinant(covariances)
     xx, xy, yy = covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
-    mahalanobis = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / det
-    return 0.5 * (mahalanobis + det.log()) + torch.log(torch.tensor(2 * torch.pi))
+    return (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / determinant(covariances)
 
 
 def determinant(covariances: Tensor) -> Tensor:

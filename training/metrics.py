@@ -11,9 +11,6 @@ from training.dataset import Window, collate
 from training.losses import negative_log_likelihood
 from training.models.predictor import Family, Observation
 
-# Mahalanobis radii squared of the ellipses that hold 50 % and 95 % of a bivariate Gaussian.
-_ELLIPSES = {0.50: -2 * np.log(0.50), 0.95: -2 * np.log(0.05)}
-
 
 @dataclass(frozen=True)
 class Forecasts:
@@ -50,14 +47,17 @@ class Forecasts:
         )
         return nll.mean(dim=(0, 1)).numpy()
 
-    def calibration(self) -> dict[float, Float[np.ndarray, " steps"]] | None:
-        """Share of truths inside the 50 % and the 95 % ellipse, at every step."""
+    def calibration(
+        self, levels: Sequence[float]
+    ) -> dict[float, Float[np.ndarray, " steps"]] | None:
+        """Share of truths inside the ellipses that should hold shares ``levels``, at every step."""
         if self.covariances is None:
             return None
         difference = self.true_positions - self.positions
         solved = np.linalg.solve(self.covariances, difference[..., None])[..., 0]
         squared = np.sum(difference * solved, axis=-1)
-        return {level: (squared <= radius).mean(axis=(0, 1)) for level, radius in _ELLIPSES.items()}
+        # The squared radius of a bivariate Gaussian's ellipse that holds a share p: -2 ln(1 - p).
+        return {level: (squared <= -2 * np.log(1 - level)).mean(axis=(0, 1)) for level in levels}
 
 
 def forecast(

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
 
 from rollcast.scene import SMALL_RADIUS_M, Scenario
 from training.losses import DistanceLoss, LikelihoodLoss, Loss, SpinLoss
-from training.models.compact import compact_family
 from training.models.predictor import Family
+from training.models.presets import PRESETS
 from training.simulate import Source
 
 
@@ -59,10 +61,10 @@ class Recipe:
 
     Attributes
     ----------
+    preset
+        Name in PRESETS.
     members
         Networks that share encoder, transition and spin read-out, trained together.
-    build
-        Makes the untrained networks by name.
     sequences
         Budget.
     """
@@ -71,7 +73,6 @@ class Recipe:
     preset: str
     members: tuple[Member, ...]
     spin_loss: SpinLoss
-    build: Callable[[], Family]
     data: tuple[DataShare, ...]
     scenarios: tuple[Scenario, ...]
     objects: int
@@ -82,11 +83,34 @@ class Recipe:
     weight_decay: float = 0.01
     warm_up: float = 0.02
     """Share of the budget over which the learning rate rises; it then falls with a cosine."""
+    heads_alone: float = 0.0
+    """Share of the budget in which only the heads learn: fresh heads would spoil what is shared."""
     gradient_clip: float = 1.0
     average_decay: float = 0.999
     """Of the exponential moving average of the weights, which is what gets evaluated."""
     validation_scenes: int = 100
     seed: int = 1
+
+    final_step: int | None = None
+    """Forecast step that a fifth frame shows (InterpNet); None leaves that frame out."""
+    angular_velocity: bool = True
+    interaction: bool = True
+    """Whether several balls know of each other."""
+
+    def build(self) -> Family:
+        """Make the untrained networks."""
+        return PRESETS[self.preset](
+            {member.name: member.variant for member in self.members},
+            self.frames,
+            self.objects,
+            angular_velocity=self.angular_velocity,
+            interaction=self.interaction,
+        )
+
+    @property
+    def frames(self) -> Literal[4, 5]:
+        """Frames that the networks read: the observed ones and perhaps the final one."""
+        return 4 if self.final_step is None else 5
 
     @property
     def trained_horizon(self) -> int:
@@ -111,24 +135,16 @@ Ellipsoids, of which the hemisphere is one, and heightfields are furthest from t
 """
 
 
-ONE_BALL = (
-    Member("posnet", "posnet", DistanceLoss(halving=8)),
-    Member("dispnet", "dispnet", DistanceLoss(halving=8), weight=0.5),
-    Member("probnet", "probnet", LikelihoodLoss(halving=8)),
-)
-"""The rollout's early steps weigh more: a plain mean loses their precision."""
-
-
 def one_ball() -> Recipe:
-    """PosNet, DispNet and ProbNet for one ball in all scenarios, from nothing."""
+    """PosNet, DispNet and ProbNet for one ball in all scenarios, from nothing.
+
+    The rollout's early steps weigh more: a plain mean loses their precision.
+    """
     return Recipe(
         name="one-ball",
         preset="compact",
-        members=ONE_BALL,
+        members=_extrapolating(suffix=""),
         spin_loss=SpinLoss(halving=8),
-        build=lambda: compact_family(
-            {member.name: member.variant for member in ONE_BALL}, 4, 1, angular_velocity=True
-        ),
         data=ONE_BALL_DATA,
         scenarios=("hemisphere", "ellipsoid", "heightfield"),
         objects=1,
@@ -142,13 +158,70 @@ def one_ball_continued() -> Recipe:
     return replace(
         one_ball(),
         name="one-ball-continued",
-        sequences=240_000,
+        sequences=280_000,
         curriculum=(Milestone(0, 20),),
-        learning_rate=8e-4,
+        learning_rate=5e-4,
+        heads_alone=0.1,
     )
+
+
+def one_ball_between() -> Recipe:
+    """InterpNet for one ball in all scenarios; it sees step 39."""
+    return replace(
+        one_ball(),
+        name="one-ball-between",
+        members=(_interpolating(suffix=""),),
+        sequences=200_000,
+        curriculum=(Milestone(0.0, 10), Milestone(0.3, 20), Milestone(0.6, 40)),
+        final_step=39,
+    )
+
+
+def several_balls(objects: int) -> Recipe:
+    """PosNet, DispNet and ProbNet for two or three balls in ellipsoidal bowls."""
+    return replace(
+        one_ball(),
+        name=f"{objects}-balls",
+        members=_extrapolating(suffix=f"-{objects}"),
+        data=(DataShare(Source("ellipsoid", objects), 1500, 1.0, 200),),
+        scenarios=("ellipsoid",),
+        objects=objects,
+        sequences=200_000,
+        curriculum=(Milestone(0.1, 2), Milestone(0.3, 8), Milestone(0.6, 15)),
+    )
+
+
+def several_balls_between(objects: int) -> Recipe:
+    """InterpNet for two or three balls; it sees step 29."""
+    return replace(
+        several_balls(objects),
+        name=f"{objects}-balls-between",
+        members=(_interpolating(suffix=f"-{objects}"),),
+        curriculum=(Milestone(0.0, 8), Milestone(0.3, 15), Milestone(0.6, 30)),
+        final_step=29,
+    )
+
+
+def _extrapolating(suffix: str) -> tuple[Member, ...]:
+    """Networks that see four frames; the suffix tells their exported models apart."""
+    return (
+        Member(f"posnet{suffix}", "posnet", DistanceLoss(halving=8)),
+        Member(f"dispnet{suffix}", "dispnet", DistanceLoss(halving=8), weight=0.5),
+        Member(f"probnet{suffix}", "probnet", LikelihoodLoss(halving=8)),
+    )
+
+
+def _interpolating(suffix: str) -> Member:
+    """Return the network that sees the final frame too; its hardest steps are in the middle."""
+    return Member(f"interpnet{suffix}", "interpnet", DistanceLoss(halving=40))
 
 
 RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "one-ball": one_ball,
     "one-ball-continued": one_ball_continued,
+    "one-ball-between": one_ball_between,
+    "2-balls": partial(several_balls, 2),
+    "3-balls": partial(several_balls, 3),
+    "2-balls-between": partial(several_balls_between, 2),
+    "3-balls-between": partial(several_balls_between, 3),
 }

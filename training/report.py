@@ -1,19 +1,13 @@
-"""Writes the README's table of results from the manifests of the committed models."""
+"""Writes what people read of the results: the README's table and ``docs/results.md``."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
-from rollcast.manifest import MANIFEST_FILE, Manifest, MetricRow
+from rollcast.manifest import Manifest, MetricRow
 from rollcast.scene import SCENARIOS, Scenario
+from training.results import Cell, Results
 
 BEGIN = "<!-- results: python -m training report -->"
 END = "<!-- end of results -->"
-
-
-def committed(models: Path) -> list[Manifest]:
-    """Manifests of the default versions under ``models``, by name."""
-    found = (Manifest.read(path) for path in sorted(models.glob(f"*/*/{MANIFEST_FILE}")))
-    return [manifest for manifest in found if manifest.default]
 
 
 def with_results(text: str, manifests: Sequence[Manifest]) -> str:
@@ -28,10 +22,10 @@ def with_results(text: str, manifests: Sequence[Manifest]) -> str:
     _, end, after = rest.partition(END)
     if not (begin and end):
         raise ValueError(f"the text lacks {BEGIN!r} or {END!r}")
-    return f"{before}{BEGIN}\n\n{results_table(manifests)}\n\n{END}{after}"
+    return f"{before}{BEGIN}\n\n{overview(manifests)}\n\n{END}{after}"
 
 
-def results_table(manifests: Sequence[Manifest]) -> str:
+def overview(manifests: Sequence[Manifest]) -> str:
     """Errors on the test split at every reported horizon, baselines last, as Markdown."""
     horizons = sorted({row.horizon for manifest in manifests for row in manifest.metrics})
     names = [*(manifest.name for manifest in manifests), "stays put", "line"]
@@ -44,10 +38,63 @@ def results_table(manifests: Sequence[Manifest]) -> str:
             rows = [_row(manifest, scenario, horizon) for manifest in manifests]
             first = next((row for row in rows if row is not None), None)
             if first is not None:
-                cells = [_error(row) for row in rows]
-                cells += [_number(first.stays_put_px), _number(first.line_px)]
+                errors = [None if row is None else row.position_error_px for row in rows]
+                errors += [first.stays_put_px, first.line_px]
                 label = f"{scenario}, T={horizon} ({first.sequences})"
-                lines.append(f"| {label} | {' | '.join(cells)} |")
+                lines.append(f"| {label} | {' | '.join(_cell(error, 1) for error in errors)} |")
+    return "\n".join(lines)
+
+
+def page(results: Results, scenes: int) -> str:
+    """Return ``docs/results.md``: a table a scenario and number of balls, and the pictures."""
+    groups = sorted({(c.objects, SCENARIOS.index(c.scenario)) for c in results.cells})
+    parts = [PREAMBLE.format(scenes=scenes)]
+    for objects, index in groups:
+        scenario = SCENARIOS[index]
+        cells = [c for c in results.cells if (c.scenario, c.objects) == (scenario, objects)]
+        parts += [f"## {title(scenario, objects)}", _table(cells)]
+        parts.append(f"![Error over time](results/{picture_name(scenario, objects)})")
+    parts += ["## Calibration", "![Share of truths inside the ellipses](results/calibration.png)"]
+    parts += ["## Uncertainty over frames", "![Forecasts over frames](results/ellipses.png)"]
+    return "\n\n".join(parts) + "\n"
+
+
+def title(scenario: Scenario, objects: int) -> str:
+    """Name a group of results."""
+    return f"{scenario}, {objects} ball{'s' if objects > 1 else ''}"
+
+
+def picture_name(scenario: Scenario, objects: int) -> str:
+    """Name the picture of a group's errors over time."""
+    return f"{scenario}-{objects}.png"
+
+
+PREAMBLE = """<!-- Made by `python -m training evaluate --all`; do not edit. -->
+# Results
+
+Every committed model on the first {scenes} scenes of the test split, which training never saw, from
+the fixed test start. 128-pixel units; T is the horizon, so the error is that of step T - 1; "worst
+step" is the step with the largest mean error. "Stays put" rests at the true position of t = 0,
+"line" goes through ten true positions (t = -3..6). Covariances are those that the service answers
+with: the network's own times a scale per step fitted on validation scenes, or the covariance of its
+validation residuals. The paper's networks each saw about 17 million sequences."""
+
+
+def _table(cells: Sequence[Cell]) -> str:
+    lines = [
+        "| method | T | error px | paper px | ang. vel. RMSE rad/s | neg. log likelihood | "
+        "in 50 % | in 95 % | trained on |",
+        "|" + "---|" * 9,
+    ]
+    for cell in cells:
+        seen = "-" if cell.training_sequences is None else f"{cell.training_sequences:,}"
+        columns = (
+            cell.method, cell.at.removeprefix("T="),
+            f"{cell.position_error_px:.2f} ± {cell.standard_error_px:.2f}",
+            _cell(cell.paper_px, 1), _cell(cell.angular_velocity_rmse), _cell(cell.perplexity),
+            _cell(cell.coverage_50), _cell(cell.coverage_95), seen,
+        )  # fmt: skip
+        lines.append(f"| {' | '.join(columns)} |")
     return "\n".join(lines)
 
 
@@ -57,9 +104,5 @@ def _row(manifest: Manifest, scenario: Scenario, horizon: int) -> MetricRow | No
     return next(rows, None)
 
 
-def _error(row: MetricRow | None) -> str:
-    return "-" if row is None else _number(row.position_error_px)
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"
+def _cell(value: float | None, digits: int = 2) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

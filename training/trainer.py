@@ -15,8 +15,9 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from training.dataset import Batch, TrainingStream, Window, fixed_windows
+from training.losses import final_loss
 from training.metrics import forecast
-from training.models.predictor import Family, Observation, Predictor
+from training.models.predictor import Family, Observation, Predictor, in_float32
 from training.recipes import Milestone, Recipe
 from training.simulate import Source, load_recordings, simulate_split
 
@@ -81,8 +82,11 @@ class Trainer:
             self.family,
             multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(recipe.average_decay),
         )
+        shared = self.family.shared_parameters()
+        known = {id(parameter) for parameter in shared}
+        heads = [p for p in self.family.parameters() if id(p) not in known]
         self._optimiser = torch.optim.AdamW(
-            self.family.parameters(),
+            [{"params": shared}, {"params": heads}],
             recipe.learning_rate,
             # The second moment has to follow gradients that grow with the horizon.
             betas=(0.9, 0.95),
@@ -134,6 +138,7 @@ class Trainer:
             groups,
             [part.share for part in recipe.data],
             [part.latest_start for part in recipe.data],
+            recipe.final_step,
             recipe.batch_size,
             recipe.seed,
             first_batch=self.batches,
@@ -150,8 +155,12 @@ class Trainer:
     def _step(self, batch: Batch, spent: float) -> float:
         recipe = self.recipe
         self.family.train()
-        for group in self._optimiser.param_groups:
-            group["lr"] = recipe.learning_rate * learning_rate_factor(spent, recipe.warm_up)
+        shared, heads = self._optimiser.param_groups
+        rate = recipe.learning_rate * learning_rate_factor(spent, recipe.warm_up)
+        heads["lr"] = rate
+        shared["lr"] = rate * warm_up_factor(spent - recipe.heads_alone, recipe.warm_up)
+        for parameter in shared["params"]:
+            parameter.requires_grad_(spent >= recipe.heads_alone)
         horizon = horizon_at(recipe.curriculum, spent)
         forecasts = self._autocast_forecasts(batch["frames"].to(self.device), horizon)
         positions = batch["positions"][:, :, :horizon].to(self.device)
@@ -159,7 +168,11 @@ class Trainer:
         # All members read the same angular velocity.
         loss = recipe.spin_loss(next(iter(forecasts.values())), spins)
         for member in recipe.members:
-            loss = loss + member.weight * member.loss(forecasts[member.name], positions)
+            made = forecasts[member.name]
+            loss = loss + member.weight * member.loss(made, positions)
+            if recipe.final_step is not None:
+                final = batch["positions"][:, :, recipe.final_step].to(self.device)
+                loss = loss + member.weight * final_loss(made, final)
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.family.parameters(), recipe.gradient_clip)
@@ -171,10 +184,7 @@ class Trainer:
     def _autocast_forecasts(self, frames: torch.Tensor, horizon: int) -> dict[str, Observation]:
         with torch.autocast(self.device.type, torch.bfloat16):
             observed: dict[str, Observation] = self.family(frames, horizon)
-        return {
-            name: Observation(*(None if part is None else part.float() for part in observation))
-            for name, observation in observed.items()
-        }
+        return {name: in_float32(observation) for name, observation in observed.items()}
 
     def _validate(self, windows: dict[Source, list[Window]], events: SummaryWriter) -> None:
         """Measure the averaged weights at T_train and keep them when their mean is the best."""
@@ -251,6 +261,7 @@ def validation_windows(recipe: Recipe, simulators: int) -> dict[Source, list[Win
                 simulate_split(source, "validation", recipe.validation_scenes, simulators)
             ),
             recipe.trained_horizon,
+            recipe.final_step,
         )
         for source in sources
     }
@@ -263,15 +274,24 @@ def horizon_at(curriculum: tuple[Milestone, ...], spent: float) -> int:
     return int(np.interp(spent, shares, horizons))
 
 
+def warm_up_factor(spent: float, warm_up: float) -> float:
+    """Linear from 0 to 1 while ``spent`` goes from 0 to ``warm_up``, and 1 from there on."""
+    return min(max(spent / warm_up, 0.0), 1.0)
+
+
 def learning_rate_factor(spent: float, warm_up: float) -> float:
     """Linear warm-up, then a cosine down to zero."""
     if spent < warm_up:
-        return spent / warm_up
+        return warm_up_factor(spent, warm_up)
     return 0.5 * (1 + math.cos(math.pi * (spent - warm_up) / (1 - warm_up)))
 
 
 def load_fitting(predictor: Predictor, initial: dict[str, torch.Tensor]) -> list[str]:
     """Copy the parameters whose names and shapes fit; return the names that were taken over.
+
+    A network that sees a final frame, several balls or their interaction has wider convolutions
+    than one without. Input channels that the smaller network lacks begin at zero; the encoder's
+    output channels are repeated for every ball.
 
     Raises
     ------
@@ -280,13 +300,25 @@ def load_fitting(predictor: Predictor, initial: dict[str, torch.Tensor]) -> list
     """
     own = predictor.state_dict()
     fitting = {
-        name: value for name, value in initial.items()
-        if name in own and own[name].shape == value.shape
+        name: widened for name, value in initial.items()
+        if name in own and (widened := _widened(name, value, own[name].shape)) is not None
     }  # fmt: skip
     if not fitting:
         raise ValueError("the initial parameters share no name and shape with the network")
     predictor.load_state_dict(own | fitting)
     return sorted(fitting)
+
+
+def _widened(name: str, value: torch.Tensor, shape: torch.Size) -> torch.Tensor | None:
+    """Parameter of a narrower layer in the shape of a wider one; None when it cannot be."""
+    if value.ndim != len(shape) or value.shape[2:] != shape[2:]:
+        return None
+    if name.startswith("encoder.") and shape[0] % value.shape[0] == 0:
+        value = value.repeat(shape[0] // value.shape[0], *(1 for _ in shape[1:]))
+    if value.ndim > 1 and value.shape[1] < shape[1]:
+        missing = value.new_zeros(len(value), shape[1] - value.shape[1], *shape[2:])
+        value = torch.cat([value, missing], dim=1)
+    return value if value.shape == shape else None
 
 
 def _save(path: Path, content: dict[str, Any]) -> None:

@@ -17,7 +17,7 @@ def exported(request, recipe, tmp_path_factory):
     name = request.param
     torch.manual_seed(5)
     predictor = recipe.build().predictors()[name]
-    sets = evaluation_sets(recipe.scenarios, 1, "validation", recipe.validation_scenes, 1)
+    sets = evaluation_sets(recipe.scenarios, 1, None, "validation", recipe.validation_scenes, 1)
     folder = tmp_path_factory.mktemp("models") / name / "1"
     export(Trained(recipe, name, predictor, 0), folder, 1, sets, sets)
     return recipe, name, predictor, folder, sets

@@ -26,7 +26,7 @@ def test_a_gaussian_forecast_of_gaussian_truth_is_calibrated():
         true_positions=truth,
         true_angular_velocities=np.zeros((20_000, 1, 1, 3)),
     )
-    coverage = forecasts.calibration()
+    coverage = forecasts.calibration((0.50, 0.95))
     assert coverage is not None
     np.testing.assert_allclose(coverage[0.50], 0.50, atol=0.02)
     np.testing.assert_allclose(coverage[0.95], 0.95, atol=0.01)

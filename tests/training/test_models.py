@@ -1,3 +1,5 @@
+import copy
+
 import pytest
 import torch
 
@@ -14,17 +16,26 @@ from training.models.predictor import (
 
 
 def compact(variant: str, objects: int = 1, *, angular_velocity: bool = True) -> Predictor:
-    family = compact_family({"it": variant}, 4, objects, angular_velocity=angular_velocity)
+    frames = 5 if variant == "interpnet" else 4
+    family = compact_family({"it": variant}, frames, objects, angular_velocity=angular_velocity)
     return family.predictors()["it"]
 
 
-@pytest.fixture
-def frames():
+def images(count: int) -> torch.Tensor:
     generator = torch.Generator().manual_seed(3)
-    return torch.randint(0, 256, (2, 4, 128, 128, 3), dtype=torch.uint8, generator=generator)
+    return torch.randint(0, 256, (2, count, 128, 128, 3), dtype=torch.uint8, generator=generator)
 
 
-@pytest.mark.parametrize("variant", HEADS)
+@pytest.fixture(params=HEADS)
+def variant(request) -> str:
+    return request.param
+
+
+@pytest.fixture
+def frames(variant):
+    return images(5 if variant == "interpnet" else 4)
+
+
 @pytest.mark.parametrize("objects", [1, 3])
 def test_shapes_of_a_rollout(variant, objects, frames):
     predictor = compact(variant, objects)
@@ -35,9 +46,12 @@ def test_shapes_of_a_rollout(variant, objects, frames):
         assert forecast.covariances.shape == (2, objects, 5, 2, 2)
     else:
         assert forecast.covariances is None
+    if variant == "interpnet":
+        assert forecast.final_positions.shape == (2, objects, 2)
+    else:
+        assert forecast.final_positions is None
 
 
-@pytest.mark.parametrize("variant", HEADS)
 def test_a_longer_rollout_begins_like_a_shorter_one(variant, frames):
     predictor = compact(variant).eval()
     with torch.inference_mode():
@@ -46,14 +60,63 @@ def test_a_longer_rollout_begins_like_a_shorter_one(variant, frames):
         )
 
 
-def test_a_family_forecasts_what_its_members_forecast_alone(frames):
+def shake(network: torch.nn.Module) -> None:
+    """Blocks begin as the identity: their inner layers matter once the outer ones have moved."""
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(0.01 * torch.randn_like(parameter))
+
+
+@pytest.mark.parametrize(
+    ("names", "count"), [(("posnet", "dispnet", "probnet"), 4), (("interpnet",), 5)]
+)
+def test_a_family_forecasts_what_its_members_forecast_alone(names, count):
     torch.manual_seed(2)
-    variants = {name: name for name in HEADS}
-    family = compact_family(variants, 4, 1, angular_velocity=True).eval()
+    family = compact_family({name: name for name in names}, count, 2, angular_velocity=True).eval()
     with torch.inference_mode():
-        together = family(frames, 4)
+        together = family(images(count), 4)
         for name, member in family.predictors().items():
-            torch.testing.assert_close(tuple(together[name]), tuple(member(frames, 4)))
+            for one, other in zip(together[name], member(images(count), 4), strict=True):
+                torch.testing.assert_close(one, other)
+
+
+def encoder_of_swapped(encoder: torch.nn.Module) -> torch.nn.Module:
+    """Encoder that gives the first ball's state to the second and the other way round."""
+    swapped = copy.deepcopy(encoder)
+    swapped.register_forward_hook(lambda _module, _inputs, s: s.flip(1))
+    return swapped
+
+
+@pytest.mark.parametrize("interaction", [True, False])
+@pytest.mark.parametrize("name", ["posnet", "dispnet", "probnet", "interpnet"])
+def test_swapped_balls_take_swapped_courses(name, interaction):
+    count = 5 if name == "interpnet" else 4
+    family = compact_family({"it": name}, count, 2, angular_velocity=True, interaction=interaction)
+    member = family.predictors()["it"].eval()
+    shake(member)
+    swapped = copy.deepcopy(member)
+    swapped.encoder = encoder_of_swapped(member.encoder)
+    with torch.inference_mode():
+        pairs = zip(member(images(count), 5), swapped(images(count), 5), strict=True)
+        for one, other in pairs:
+            if one is not None:
+                assert not torch.allclose(one[:, 0], one[:, 1])
+                torch.testing.assert_close(other, one.flip(1))
+
+
+def test_balls_know_of_each_other_by_their_interaction_alone():
+    torch.manual_seed(0)
+    for interaction in (True, False):
+        family = compact_family(
+            {"it": "posnet"}, 4, 3, angular_velocity=True, interaction=interaction
+        )
+        shake(family)
+        transition = family.predictors()["it"].transition
+        s = torch.randn(1, 3, 128, 8, 8)
+        moved = s.clone()
+        moved[:, 1] += 1
+        unchanged = torch.equal(transition(s)[:, 0], transition(moved)[:, 0])
+        assert unchanged != interaction
 
 
 def test_predictors_that_share_nothing_are_no_family():
@@ -61,14 +124,10 @@ def test_predictors_that_share_nothing_are_no_family():
         Family({"one": compact("posnet"), "other": compact("dispnet")})
 
 
-@pytest.mark.parametrize("variant", HEADS)
 def test_every_parameter_gets_a_gradient(variant, frames):
     torch.manual_seed(0)
     predictor = compact(variant)
-    # Blocks begin as the identity: their inner layers learn once the outer ones have moved.
-    with torch.no_grad():
-        for parameter in predictor.parameters():
-            parameter.add_(0.01 * torch.randn_like(parameter))
+    shake(predictor)
     forecast = predictor(frames, 3)
     sum(part.square().sum() for part in forecast if part is not None).backward()
     untouched = [
@@ -78,8 +137,8 @@ def test_every_parameter_gets_a_gradient(variant, frames):
     assert untouched == []
 
 
-def test_angular_velocity_can_be_left_out(frames):
-    assert compact("posnet", angular_velocity=False)(frames, 2).angular_velocities is None
+def test_angular_velocity_can_be_left_out(variant, frames):
+    assert compact(variant, angular_velocity=False)(frames, 2).angular_velocities is None
 
 
 def test_covariances_keep_their_eigenvalues_within_the_bounds():
@@ -98,6 +157,6 @@ def test_covariance_is_the_papers_rotation_of_a_diagonal():
     torch.testing.assert_close(GaussianOutput()(p)[1][0], expected)
 
 
-def test_still_frames_have_empty_change_channels(frames):
-    still = frames[:, :1].expand(-1, 4, -1, -1, -1)
+def test_still_frames_have_empty_change_channels():
+    still = images(1).expand(-1, 4, -1, -1, -1)
     assert not normalised_frames(still)[:, 3:12].any()

@@ -4,20 +4,23 @@ from pathlib import Path
 
 import pytest
 
-from training.report import committed, results_table, with_results
+from rollcast.manifest import MANIFEST_FILE, Manifest
+from training.report import overview, with_results
+from training.results import committed
 
 ROOT = Path(__file__).parents[2]
 
 
 def test_the_readme_holds_the_committed_models_figures():
-    manifests = committed(ROOT / "models")
+    folders = committed(ROOT / "models")
+    manifests = [Manifest.read(folder / MANIFEST_FILE) for folder in folders]
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert with_results(text, manifests) == text
     posnet = next(manifest for manifest in manifests if manifest.name == "posnet")
     row = next(row for row in posnet.metrics if row.split == "test" and row.horizon == 20)
     line = next(
         line
-        for line in results_table(manifests).splitlines()
+        for line in overview(manifests).splitlines()
         if line.startswith(f"| {row.scenario}, T=20 ({row.sequences}) |")
     )
     assert f"| {row.position_error_px:.1f} |" in line

@@ -20,7 +20,7 @@ START = 5
 def window_of(simulator: Simulator, scene: Scene) -> Window:
     trajectory = simulator.simulate(scene, START + HORIZON + 4)
     assert trajectory is not None
-    return WindowMaker([Recording(scene, trajectory)]).window(0, START, HORIZON)
+    return WindowMaker([Recording(scene, trajectory)], None).window(0, START, HORIZON)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_a_window_shows_the_frames_and_the_truth_of_the_design(simulator, scene)
     """Step t = 0 is the last of the four seen frames; positions are pixels of 128 x 128 frames."""
     trajectory = simulator.simulate(scene, START + HORIZON + 4)
     assert trajectory is not None
-    window = WindowMaker([Recording(scene, trajectory)]).window(0, START, HORIZON)
+    window = WindowMaker([Recording(scene, trajectory)], None).window(0, START, HORIZON)
     camera = camera_for(scene.scenario, 128)
     seen = trajectory.window(START, 4)
     np.testing.assert_array_equal(window.frames, Renderer(scene, camera).render(seen))

@@ -80,12 +80,31 @@ class CompactEncoder(nn.Module):
         return self.norm(s_BNCHW.flatten(0, 1)).unflatten(0, (-1, self.objects))
 
 
-class ConvTransition(nn.Module):
-    """s_{t+1} = phi_s(s_t): two 3 x 3 convolutions (paper, section 3.2) around a skip."""
+class ObjectInteraction(nn.Module):
+    """Appends to every ball's state the sum of the other balls' (paper, section 3.5)."""
 
-    def __init__(self, channels: int, hidden: int) -> None:
+    def forward(self, s_BNCHW: Tensor) -> Tensor:
+        """States [B, N, C, 8, 8] to [B, N, 2 C, 8, 8]."""
+        others = s_BNCHW.sum(dim=1, keepdim=True) - s_BNCHW
+        return torch.cat([s_BNCHW, others], dim=2)
+
+
+class ConvTransition(nn.Module):
+    """s_{t+1} = phi_s(s_t): two 3 x 3 convolutions (paper, section 3.2) around a skip.
+
+    Parameters
+    ----------
+    interaction
+        What lets the balls know of each other; None moves each alone.
+    """
+
+    def __init__(
+        self, channels: int, hidden: int, interaction: ObjectInteraction | None = None
+    ) -> None:
         super().__init__()
-        self.first = nn.Conv2d(channels, hidden, 3, padding=1)
+        self.interaction = interaction
+        seen = channels if interaction is None else 2 * channels
+        self.first = nn.Conv2d(seen, hidden, 3, padding=1)
         self.second = nn.Conv2d(hidden, channels, 3, padding=1)
         nn.init.normal_(self.second.weight, std=1e-3)
         self.norm = ChannelNorm()
@@ -93,8 +112,9 @@ class ConvTransition(nn.Module):
     def forward(self, s_BNCHW: Tensor) -> Tensor:
         """s_t to s_{t+1}."""
         batch = s_BNCHW.shape[0]
-        s = s_BNCHW.flatten(0, 1)
-        moved = self.norm(s + self.second(functional.relu(self.first(s))))
+        seen = s_BNCHW if self.interaction is None else self.interaction(s_BNCHW)
+        change = self.second(functional.relu(self.first(seen.flatten(0, 1))))
+        moved = self.norm(s_BNCHW.flatten(0, 1) + change)
         return moved.unflatten(0, (batch, -1))
 
 

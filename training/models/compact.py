@@ -2,8 +2,13 @@
 
 from collections.abc import Callable, Mapping
 
-from training.models import dispnet, posnet, probnet
-from training.models.blocks import CompactEncoder, ConvTransition, SpatialReadout
+from training.models import dispnet, interpnet, posnet, probnet
+from training.models.blocks import (
+    CompactEncoder,
+    ConvTransition,
+    ObjectInteraction,
+    SpatialReadout,
+)
 from training.models.predictor import Family, Head, Predictor
 
 CHANNELS = 128
@@ -12,16 +17,23 @@ HEADS: Mapping[str, Callable[[int], Head]] = {
     "posnet": posnet.compact_head,
     "dispnet": dispnet.compact_head,
     "probnet": probnet.compact_head,
+    "interpnet": interpnet.compact_head,
 }
 """What tells the variants apart."""
 
 
 def compact_family(
-    variants: Mapping[str, str], frames: int, objects: int, *, angular_velocity: bool
+    variants: Mapping[str, str],
+    frames: int,
+    objects: int,
+    *,
+    angular_velocity: bool,
+    interaction: bool = True,
 ) -> Family:
-    """Untrained networks, by name, of some variants: they share all but their heads."""
+    """Make a family in the compact preset (see :class:`training.models.presets.Preset`)."""
     encoder = CompactEncoder(frames, objects, CHANNELS)
-    transition = ConvTransition(CHANNELS, 128)
+    met = ObjectInteraction() if interaction and objects > 1 else None
+    transition = ConvTransition(CHANNELS, 128, met)
     spin = SpatialReadout(CHANNELS, 3) if angular_velocity else None
     return Family(
         {

@@ -26,12 +26,14 @@ class State(NamedTuple):
 class Observation(NamedTuple):
     """What a state says: 128-pixel units, rad/s; None where the network has no such output.
 
-    Shapes are [B, N, 2], [B, N, 2, 2] and [B, N, 3] for one step, with T after N for a rollout.
+    Shapes are [B, N, 2], [B, N, 2, 2] and [B, N, 3] for one step, with T after N for a rollout. The
+    final position [B, N, 2] is said by h_0 alone, once for a rollout.
     """
 
     positions: Tensor
     covariances: Tensor | None
     angular_velocities: Tensor | None
+    final_positions: Tensor | None = None
 
 
 class Motion(Protocol):
@@ -106,10 +108,14 @@ class GaussianOutput(nn.Module):
 
 
 class Head(NamedTuple):
-    """What tells one variant from another: how positions come from the states."""
+    """What tells one variant from another: how positions come from the states.
+
+    ``final`` reads the position in the final frame from s_0, for networks that see that frame.
+    """
 
     motion: Motion
     output: nn.Module
+    final: nn.Module | None = None
 
 
 def pixels(position: Tensor) -> Tensor:
@@ -148,7 +154,7 @@ class Predictor(nn.Module):
         super().__init__()
         self.encoder = encoder
         self.transition = transition
-        self.motion, self.output = head
+        self.motion, self.output, self.final = head
         self.spin = spin
 
     def start(self, frames_BKHW3: Tensor) -> State:
@@ -163,7 +169,16 @@ class Predictor(nn.Module):
 
     def observe(self, state: State) -> Observation:
         """Observation y_t of a state."""
-        return Observation(*self.output(state.p), self.angular_velocity(state.s))
+        positions, covariances = self.output(state.p)
+        return Observation(positions, covariances, self.angular_velocity(state.s))
+
+    def observe_first(self, state: State) -> Observation:
+        """Observation (y_0, y_final) of h_0 (paper, section 5.2, interpolation)."""
+        return self.observe(state)._replace(final_positions=self.final_position(state.s))
+
+    def final_position(self, s_0: Tensor) -> Tensor | None:
+        """Position in the final frame, or None for a network that does not see it."""
+        return None if self.final is None else pixels(self.final(s_0))
 
     def angular_velocity(self, s: Tensor) -> Tensor | None:
         """Angular velocity in rad/s, or None."""
@@ -172,7 +187,7 @@ class Predictor(nn.Module):
     def forward(self, frames_BKHW3: Tensor, horizon: int) -> Observation:
         """Observations of the steps 0..horizon-1, stacked after the objects' axis."""
         state = self.start(frames_BKHW3)
-        steps = [self.observe(state)]
+        steps = [self.observe_first(state)]
         for _ in range(horizon - 1):
             state = self.advance(state)
             steps.append(self.observe(state))
@@ -193,7 +208,7 @@ class Family(nn.Module):
 
     def __init__(self, members: Mapping[str, Predictor]) -> None:
         super().__init__()
-        self.members = nn.ModuleDict(members)
+        self.members = nn.ModuleDict(dict(members))
         first = next(iter(members.values()))
         if any(
             (member.encoder, member.transition, member.spin)
@@ -210,6 +225,12 @@ class Family(nn.Module):
             members[name] = member
         return members
 
+    def shared_parameters(self) -> list[nn.Parameter]:
+        """Return what all members share: parameters of encoder, transition and spin read-out."""
+        first = next(iter(self.predictors().values()))
+        parts = (first.encoder, first.transition, first.spin)
+        return [p for part in parts if part is not None for p in part.parameters()]
+
     def forward(self, frames_BKHW3: Tensor, horizon: int) -> dict[str, Observation]:
         """Observations of the steps 0..horizon-1 of every member."""
         members = self.predictors()
@@ -217,6 +238,7 @@ class Family(nn.Module):
         s = shared.encoder(frames_BKHW3)
         motions = {name: member.motion.start(s) for name, member in members.items()}
         steps: dict[str, list[Observation]] = {name: [] for name in members}
+        finals = {name: member.final_position(s) for name, member in members.items()}
         for step in range(horizon):
             if step > 0:
                 s_next = shared.transition(s)
@@ -225,8 +247,20 @@ class Family(nn.Module):
                 s = s_next
             spin = shared.angular_velocity(s)
             for name, member in members.items():
-                steps[name].append(Observation(*member.output(motions[name]), spin))
+                positions, covariances = member.output(motions[name])
+                steps[name].append(Observation(positions, covariances, spin, finals[name]))
         return {name: _rollout(observed) for name, observed in steps.items()}
+
+
+def in_float32(observation: Observation) -> Observation:
+    """Return an observation whose tensors are float32, for a loss under autocast."""
+    covariances, spin, final = observation[1:]
+    return Observation(
+        observation.positions.float(),
+        None if covariances is None else covariances.float(),
+        None if spin is None else spin.float(),
+        None if final is None else final.float(),
+    )
 
 
 def _rollout(steps: Sequence[Observation]) -> Observation:
@@ -235,6 +269,7 @@ def _rollout(steps: Sequence[Observation]) -> Observation:
         torch.stack([step.positions for step in steps], dim=2),
         _stacked([step.covariances for step in steps]),
         _stacked([step.angular_velocities for step in steps]),
+        steps[0].final_positions,
     )
 
 

@@ -1,0 +1,166 @@
+"""Trains every family of models in rounds, for as long as it is left running.
+
+A round is a training of its own that begins with the family's committed models. The campaign goes
+on with a round that was interrupted, then begins families that have no round yet, in order, and
+then gives the next round to the family whose last one lowered its validation error most. All rounds
+show the same number of sequences.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from rollcast.manifest import MANIFEST_FILE, Manifest
+from training.artefact import read_initial
+from training.recipes import (
+    Milestone,
+    Recipe,
+    one_ball,
+    one_ball_between,
+    several_balls,
+    several_balls_between,
+)
+from training.trainer import Initial, Trainer
+
+OUTCOME = "outcome.json"
+LEAST_GAIN = 0.01
+"""Share of the error that a round has to take away for another one to follow."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A family of models and where its first round begins.
+
+    Attributes
+    ----------
+    recipe
+        From nothing; later rounds stay at its last horizon.
+    parents
+        Models that the first round begins with when the family has none of its own.
+    """
+
+    recipe: Recipe
+    parents: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a finished round gave: validation errors at T_train in pixels."""
+
+    error_before_px: float | None
+    error_px: float
+
+    @property
+    def gain(self) -> float:
+        """Share of the error that the round took away; all of it in a first round."""
+        return 1 - self.error_px / self.error_before_px if self.error_before_px else 1.0
+
+
+@dataclass(frozen=True)
+class Round:
+    """A round to train: its line, number, folder and recipe."""
+
+    line: Line
+    number: int
+    folder: Path
+    recipe: Recipe
+
+
+def lines() -> tuple[Line, ...]:
+    """Return every family that ships, in the order of their first rounds."""
+    one = ("posnet", "dispnet", "probnet")
+    return (
+        Line(one_ball()),
+        Line(one_ball_between(), parents=("dispnet",)),
+        Line(several_balls(2), parents=one),
+        Line(several_balls(3), parents=("posnet-2", "dispnet-2", "probnet-2")),
+        Line(several_balls_between(2), parents=("dispnet-2",)),
+        Line(several_balls_between(3), parents=("dispnet-3",)),
+    )
+
+
+def next_round(known: Sequence[Line], folder: Path, models: Path, sequences: int) -> Round | None:
+    """Choose what to train next; None when no family gains enough any more.
+
+    Parameters
+    ----------
+    folder
+        Folder of the campaign's rounds.
+    sequences
+        Budget of a round.
+    """
+    begun = {line.recipe.name: _rounds(folder / line.recipe.name) for line in known}
+    for line in known:
+        rounds = begun[line.recipe.name]
+        if rounds and not (rounds[-1] / OUTCOME).exists():
+            return _round(line, len(rounds) - 1, rounds[-1], models, sequences)
+    for line in known:
+        if not begun[line.recipe.name]:
+            return _round(line, 0, folder / line.recipe.name / "0", models, sequences)
+    gains = {name: read_outcome(rounds[-1]).gain for name, rounds in begun.items()}
+    best = max(known, key=lambda line: gains[line.recipe.name])
+    name = best.recipe.name
+    if gains[name] < LEAST_GAIN:
+        return None
+    number = len(begun[name])
+    return _round(best, number, folder / name / str(number), models, sequences)
+
+
+def _rounds(folder: Path) -> list[Path]:
+    return sorted(folder.glob("[0-9]*"), key=lambda path: int(path.name))
+
+
+def _round(line: Line, number: int, folder: Path, models: Path, sequences: int) -> Round:
+    recipe = replace(line.recipe, sequences=sequences, seed=line.recipe.seed + number)
+    own = committed_errors(recipe, models)
+    if own is not None:
+        recipe = replace(recipe, curriculum=(Milestone(0, recipe.trained_horizon),))
+    elif line.parents:
+        # Fresh heads on a trained state.
+        recipe = replace(recipe, heads_alone=0.05)
+    return Round(line, number, folder, recipe)
+
+
+def committed_errors(recipe: Recipe, models: Path) -> Mapping[str, float] | None:
+    """Return the validation errors at T_train of a recipe's models; None when one is missing."""
+    folders = [newest(models, member.name) for member in recipe.members]
+    if None in folders:
+        return None
+    manifests = [Manifest.read(f / MANIFEST_FILE) for f in folders if f is not None]
+    return {manifest.name: manifest.validation_error_px for manifest in manifests}
+
+
+def newest(models: Path, name: str) -> Path | None:
+    """Folder of a model's default version."""
+    for path in sorted(models.glob(f"{name}/*/{MANIFEST_FILE}")):
+        if Manifest.read(path).default:
+            return path.parent
+    return None
+
+
+def initial_of(chosen: Round, models: Path) -> list[Initial]:
+    """Return what a round begins with: the family's committed models, or its line's parents."""
+    names = [member.name for member in chosen.recipe.members]
+    own = [folder for name in names if (folder := newest(models, name)) is not None]
+    parents = [folder for name in chosen.line.parents if (folder := newest(models, name))]
+    return [read_initial(folder) for folder in own or parents]
+
+
+def train(chosen: Round, models: Path) -> Outcome:
+    """Train a round to its end; return what it gave."""
+    before = committed_errors(chosen.recipe, models)
+    trainer = Trainer(chosen.recipe, chosen.folder, initial=initial_of(chosen, models))
+    error = trainer.run()
+    mean = None if before is None else sum(before.values()) / len(before)
+    return Outcome(mean, error)
+
+
+def finish(chosen: Round, outcome: Outcome) -> None:
+    """Write down what a round gave, once its models are exported: it is not trained again."""
+    (chosen.folder / OUTCOME).write_text(json.dumps(asdict(outcome)) + "\n", encoding="utf-8")
+
+
+def read_outcome(folder: Path) -> Outcome:
+    """Read what a finished round gave."""
+    return Outcome(**json.loads((folder / OUTCOME).read_text("utf-8")))

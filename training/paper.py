@@ -1,0 +1,37 @@
+"""The paper's published figures; ``paper.json`` is their one home."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rollcast.scene import Scenario
+
+
+@dataclass(frozen=True)
+class Published:
+    """One cell of the paper's tables (128-px units, rad/s, nats); None where it gives nothing."""
+
+    position_error_px: float
+    angular_velocity_rmse: float | None = None
+    perplexity: float | None = None
+
+
+def published(scenario: Scenario, objects: int, method: str, at: str) -> Published | None:
+    """Return what the paper prints for a method at a moment, "T=20" for example."""
+    return _CELLS.get((scenario, objects, method, at))
+
+
+def angular_speed_rad_s(scenario: Scenario) -> float:
+    """Mean angular speed over all scenes (paper, section 4)."""
+    return _PAPER["angular_speed_rad_s"][scenario]
+
+
+_PAPER: dict[str, Any] = json.loads(Path(__file__).with_suffix(".json").read_text("utf-8"))
+_CELLS: Mapping[tuple[str, int, str, str], Published] = {
+    (cell["scenario"], cell["objects"], cell["method"], cell["at"]): Published(
+        cell["position_error_px"], cell.get("angular_velocity_rmse"), cell.get("perplexity")
+    )
+    for cell in _PAPER["cells"]
+}

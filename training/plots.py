@@ -1,0 +1,118 @@
+"""Pictures of the results (matplotlib): errors over time, calibration, ellipses over frames."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+
+from rollcast.plot import PALETTE
+from training.dataset import Window
+from training.metrics import Forecasts
+from training.report import title
+from training.results import LEVELS, Curve
+
+SIGMAS = 2.0
+"""Size of the drawn ellipses, standard deviations."""
+_STYLE: dict[Any, Any] = {
+    "figure.dpi": 110,
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+_BASELINE_STYLES = {"stays put": ":", "line": "--"}
+
+
+def draw_errors(curves: Sequence[Curve], path: Path) -> None:
+    """Draw the median error of every method over time with its quartiles, one group."""
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(6.4, 3.4), layout="constrained")
+        axes = figure.subplots()
+        colours = iter(PALETTE)
+        for curve in curves:
+            low, middle, high = curve.quartiles_px
+            steps = np.arange(1, len(middle) + 1)
+            baseline = _BASELINE_STYLES.get(curve.method)
+            colour = "#666666" if baseline else next(colours)
+            axes.plot(steps, middle, baseline or "-", color=colour, label=curve.method)
+            if not baseline:
+                axes.fill_between(steps, low, high, color=colour, alpha=0.2, linewidth=0)
+        trained = {c.trained_horizon for c in curves if c.trained_horizon is not None}
+        for horizon in trained:
+            axes.axvline(horizon, color="#bbbbbb", linewidth=1, zorder=0)
+        axes.set(
+            xlabel="T (steps of 1/40 s)", ylabel="position error, px", yscale="log",
+            title=f"{title(curves[0].scenario, curves[0].objects)}: median and quartiles",
+        )  # fmt: skip
+        axes.legend(frameon=False, ncols=2)
+        figure.savefig(path, metadata={"Software": None})
+
+
+def draw_calibration(curves: Sequence[Curve], path: Path) -> None:
+    """Draw how many truths lie inside the ellipses that should hold a share of them."""
+    with mpl.rc_context(_STYLE):
+        measured = [curve for curve in curves if curve.coverage is not None]
+        figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+        axes = figure.subplots()
+        axes.plot([0, 1], [0, 1], color="#bbbbbb", linewidth=1)
+        methods = sorted({curve.method for curve in measured})
+        markers = {"hemisphere": "o", "ellipsoid": "s", "heightfield": "^"}
+        for curve in measured:
+            assert curve.coverage is not None
+            axes.plot(
+                LEVELS, curve.coverage, markers[curve.scenario] + "-", markersize=3, linewidth=1,
+                color=PALETTE[methods.index(curve.method) % len(PALETTE)],
+                label=f"{curve.method}, {curve.scenario}",
+            )  # fmt: skip
+        axes.set(
+            xlabel="share that the ellipse should hold", ylabel="share of truths inside",
+            xlim=(0, 1), ylim=(0, 1), title="Calibration over all steps up to the trained horizon",
+        )  # fmt: skip
+        axes.legend(frameon=False, fontsize=7)
+        figure.savefig(path, metadata={"Software": None})
+
+
+def draw_ellipses(
+    examples: Sequence[tuple[str, Window, Forecasts]], every: int, path: Path
+) -> None:
+    """Draw forecasts over the last seen frame: ellipses, forecast and true paths.
+
+    Parameters
+    ----------
+    examples
+        Caption, window, and forecasts of that window alone.
+    every
+        Steps between ellipses.
+    """
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(2.6 * len(examples), 2.9), layout="constrained")
+        for axes, (caption, window, made) in zip(
+            figure.subplots(1, len(examples), squeeze=False)[0], examples, strict=True
+        ):
+            size = window.frames.shape[1]
+            axes.imshow(window.frames[3], extent=(0, size, size, 0))
+            for ball in range(made.positions.shape[1]):
+                colour = PALETTE[ball]
+                path_px, truth = made.positions[0, ball], made.true_positions[0, ball]
+                axes.plot(*truth.T, color="white", linewidth=1.5)
+                axes.plot(*path_px.T, color=colour, linewidth=1.5)
+                if made.covariances is not None:
+                    for step in range(every - 1, len(path_px), every):
+                        axes.add_patch(
+                            _ellipse(path_px[step], made.covariances[0, ball, step], colour)
+                        )
+            axes.set(xlim=(0, size), ylim=(size, 0), xticks=[], yticks=[], title=caption)
+        figure.savefig(path, metadata={"Software": None})
+
+
+def _ellipse(centre: np.ndarray, covariance: np.ndarray, colour: str) -> Ellipse:
+    variances, axes = np.linalg.eigh(covariance)
+    width, height = 2 * SIGMAS * np.sqrt(variances)
+    angle = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0])))
+    return Ellipse(
+        (float(centre[0]), float(centre[1])), float(width), float(height), angle=angle,
+        fill=False, color=colour, linewidth=1,
+    )  # fmt: skip

@@ -1,0 +1,73 @@
+"""``evaluate --all``: measures the committed models and writes ``docs/results`` from it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import groupby
+from pathlib import Path
+
+from rollcast.manifest import MANIFEST_FILE, Manifest
+from training import plots
+from training.artefact import load_exported
+from training.dataset import Window
+from training.evaluate import evaluation_sets, run
+from training.export import with_covariance
+from training.metrics import Forecasts
+from training.report import page, picture_name
+from training.results import Results, committed, measure
+
+RESULTS = "results.json"
+STEPS_BETWEEN_ELLIPSES = 5
+
+
+def publish(models: Path, docs: Path, scenes: int, workers: int) -> Results:
+    """Write ``docs/results.md`` with ``docs/results/``: figures and pictures."""
+    folders = committed(models)
+    results = measure(folders, scenes, workers)
+    folder = docs / "results"
+    folder.mkdir(parents=True, exist_ok=True)
+    results.write(folder / RESULTS)
+    (docs / "results.md").write_text(page(results, scenes), encoding="utf-8")
+    groups = sorted(results.curves, key=lambda curve: (curve.objects, curve.scenario))
+    for (objects, scenario), curves in groupby(groups, lambda c: (c.objects, c.scenario)):
+        plots.draw_errors(list(curves), folder / picture_name(scenario, objects))
+    plots.draw_calibration(results.curves, folder / "calibration.png")
+    plots.draw_ellipses(
+        _examples(folders, scenes, workers), STEPS_BETWEEN_ELLIPSES, folder / "ellipses.png"
+    )
+    return results
+
+
+def _examples(
+    folders: Sequence[Path], scenes: int, workers: int
+) -> list[tuple[str, Window, Forecasts]]:
+    """First test scene of every scenario, forecast by the models that predict covariances."""
+    examples: list[tuple[str, Window, Forecasts]] = []
+    for folder in folders:
+        if Manifest.read(folder / MANIFEST_FILE).covariance.source != "predicted":
+            continue
+        manifest, predictor = load_exported(folder)
+        sets = evaluation_sets(
+            manifest.scenarios, manifest.objects, manifest.final_step, "test", scenes, workers
+        )
+        first = [replace(part, windows=part.windows[:1]) for part in sets]
+        forecasts = with_covariance(run(predictor, first), manifest.covariance)
+        examples += [
+            (
+                f"{manifest.label}, {part.scenario}",
+                part.windows[0],
+                _until(forecasts[part.scenario], manifest.trained_horizon),
+            )
+            for part in first
+        ]
+    return examples
+
+
+def _until(made: Forecasts, horizon: int) -> Forecasts:
+    """Cut forecasts to their first steps."""
+    return Forecasts(
+        made.positions[:, :, :horizon],
+        None if made.covariances is None else made.covariances[:, :, :horizon],
+        None if made.angular_velocities is None else made.angular_velocities[:, :, :horizon],
+        made.true_positions[:, :, :horizon],
+        made.true_angular_velocities[:, :, :horizon],
+    )
