@@ -97,7 +97,16 @@ class Results:
         stored = json.loads(path.read_text("utf-8"))
         return cls(
             tuple(Cell(**cell) for cell in stored["cells"]),
-            tuple(Curve(**curve) for curve in stored["curves"]),
+            tuple(
+                Curve(
+                    **curve
+                    | {
+                        "quartiles_px": tuple(map(tuple, curve["quartiles_px"])),
+                        "coverage": None if curve["coverage"] is None else tuple(curve["coverage"]),
+                    }
+                )
+                for curve in stored["curves"]
+            ),
         )
 
 

@@ -21,8 +21,12 @@ def runs(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def recipe(runs) -> Recipe:
+    return tiny(one_ball())
+
+
+def tiny(recipe: Recipe) -> Recipe:
     return replace(
-        one_ball(),
+        recipe,
         data=(DataShare(HEMISPHERE, SHARD_SCENES, share=1, latest_start=100),),
         scenarios=("hemisphere",),
         sequences=32,

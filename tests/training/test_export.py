@@ -6,18 +6,23 @@ import pytest
 import torch
 
 from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, Manifest
+from tests.training.conftest import tiny
 from training.artefact import load_exported, read_initial, read_parameters
 from training.evaluate import evaluation_sets
 from training.export import Trained, export, measure_parity
+from training.recipes import one_ball, one_ball_between
 from training.trainer import load_fitting
 
 
-@pytest.fixture(scope="module", params=["posnet", "probnet"])
-def exported(request, recipe, tmp_path_factory):
+@pytest.fixture(scope="module", params=["posnet", "probnet", "interpnet"])
+def exported(request, runs, tmp_path_factory):
     name = request.param
+    recipe = tiny(one_ball_between() if name == "interpnet" else one_ball())
     torch.manual_seed(5)
     predictor = recipe.build().predictors()[name]
-    sets = evaluation_sets(recipe.scenarios, 1, None, "validation", recipe.validation_scenes, 1)
+    sets = evaluation_sets(
+        recipe.scenarios, 1, recipe.final_step, "validation", recipe.validation_scenes, 1
+    )
     folder = tmp_path_factory.mktemp("models") / name / "1"
     export(Trained(recipe, name, predictor, 0), folder, 1, sets, sets)
     return recipe, name, predictor, folder, sets
