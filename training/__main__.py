@@ -11,6 +11,7 @@ from training import calibration, campaign
 from training.artefact import load_exported, read_initial
 from training.evaluate import evaluation_sets, markdown_table, metric_rows, run
 from training.export import export_run, with_covariance
+from training.models.paper import VggEncoder, load_imagenet
 from training.publish import publish
 from training.recipes import RECIPES
 from training.report import with_results
@@ -70,6 +71,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="MODEL",
         help="exported models (models/NAME/VERSION) to start from; the first one's encoder wins",
     )
+    train.add_argument(
+        "--imagenet",
+        type=Path,
+        metavar="FILE",
+        help="VGG16 trained on ImageNet (torchvision's .pth or ONNX), for the paper's preset",
+    )
     train.set_defaults(run=_train)
 
     evaluate = commands.add_parser(
@@ -126,6 +133,11 @@ def _train(arguments: argparse.Namespace) -> None:
     folder = runs_folder() / arguments.recipe
     initial = [read_initial(folder) for folder in arguments.init]
     trainer = Trainer(recipe, folder, Pace(workers=1, simulators=arguments.workers), initial)
+    if arguments.imagenet is not None:
+        encoder = next(iter(trainer.family.predictors().values())).encoder
+        if not isinstance(encoder, VggEncoder):
+            raise SystemExit(f"--imagenet is for the paper's preset; {recipe.name} has another")
+        print(f"{load_imagenet(encoder, arguments.imagenet)} convolutions from ImageNet")
     error = trainer.run()
     print(f"best validation error at T={recipe.trained_horizon}: {error:.3f} px, kept in {folder}")
 

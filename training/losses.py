@@ -51,6 +51,14 @@ class DistanceLoss:
         return (weights.to(error.device) * error).mean()
 
 
+class SquaredLoss:
+    """Mean squared distance in px^2 (paper, section 3.3)."""
+
+    def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
+        """Loss of a forecast in px^2."""
+        return (forecast.positions - positions_BNT2).square().sum(-1).mean()
+
+
 class LikelihoodLoss:
     """Negative log likelihood with the paper's regulariser lambda det(Sigma).
 
@@ -87,12 +95,22 @@ class SpinLoss:
     weight
         Pixels that an error of 1 rad/s counts for; errors count relative to the speed itself
         beyond 20 rad/s, where small balls spin.
+    squared
+        Plain squared errors instead, as in the paper.
     """
 
-    def __init__(self, halving: float = 4.0, weight: float = 0.3, rounding: float = 0.5) -> None:
+    def __init__(
+        self,
+        halving: float = 4.0,
+        weight: float = 0.3,
+        rounding: float = 0.5,
+        *,
+        squared: bool = False,
+    ) -> None:
         self._halving = halving
         self._weight = weight
         self._rounding = rounding
+        self._squared = squared
 
     def __call__(self, forecast: Observation, angular_velocities_BNT3: Tensor) -> Tensor:
         """Loss of a forecast in pixels."""
@@ -100,6 +118,9 @@ class SpinLoss:
         if forecast.angular_velocities is None:
             return torch.zeros((), device=truth.device)
         weights = step_weights(truth.shape[2], self._halving).to(truth.device)
+        if self._squared:
+            error = (forecast.angular_velocities - truth).square().sum(-1)
+            return self._weight * (weights * error).mean()
         scale = 1 + truth.norm(dim=-1) / ANGULAR_VELOCITY_UNIT
         error = smooth_distance(forecast.angular_velocities - truth, self._rounding) / scale
         return self._weight * (weights * error).mean()

@@ -1,14 +1,18 @@
 """Experiments: named functions that return their complete configuration."""
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
+
+import torch
 
 from rollcast.scene import SMALL_RADIUS_M, Scenario
-from training.losses import DistanceLoss, LikelihoodLoss, Loss, SpinLoss
+from training.losses import DistanceLoss, LikelihoodLoss, Loss, SpinLoss, SquaredLoss
 from training.models.predictor import Family
 from training.models.presets import PRESETS
+from training.schedules import Cosine, Plateau, Schedule
 from training.simulate import Source
 
 
@@ -42,6 +46,11 @@ class Milestone:
 
     spent: float
     horizon: int
+
+
+def adamw(groups: Iterable[dict[str, Any]], rate: float) -> torch.optim.Optimizer:
+    """Make AdamW; its second moment has to follow gradients that grow with the horizon."""
+    return torch.optim.AdamW(groups, rate, betas=(0.9, 0.95), weight_decay=0.01)
 
 
 @dataclass(frozen=True)
@@ -80,9 +89,8 @@ class Recipe:
     curriculum: tuple[Milestone, ...]
     batch_size: int = 32
     learning_rate: float = 1e-3
-    weight_decay: float = 0.01
-    warm_up: float = 0.02
-    """Share of the budget over which the learning rate rises; it then falls with a cosine."""
+    optimiser: Callable[[Iterable[dict[str, Any]], float], torch.optim.Optimizer] = adamw
+    schedule: Callable[[], Schedule] = Cosine
     heads_alone: float = 0.0
     """Share of the budget in which only the heads learn: fresh heads would spoil what is shared."""
     gradient_clip: float = 1.0
@@ -202,6 +210,26 @@ def several_balls_between(objects: int) -> Recipe:
     )
 
 
+def paper_posnet() -> Recipe:
+    """PosNet as published, on ellipsoidal bowls; give it ImageNet's weights (``--imagenet``)."""
+    return replace(
+        one_ball(),
+        name="paper-posnet",
+        preset="paper",
+        members=(Member("paper-posnet", "posnet", SquaredLoss()),),
+        spin_loss=SpinLoss(halving=math.inf, weight=1, squared=True),
+        data=(DataShare(Source("ellipsoid"), 1800, 1.0, 200),),
+        scenarios=("ellipsoid",),
+        sequences=17_500_000,
+        curriculum=(Milestone(0, 20),),
+        batch_size=50,
+        learning_rate=1e-4,
+        optimiser=torch.optim.RMSprop,
+        schedule=Plateau,
+        gradient_clip=math.inf,
+    )
+
+
 def _extrapolating(suffix: str) -> tuple[Member, ...]:
     """Networks that see four frames; the suffix tells their exported models apart."""
     return (
@@ -224,4 +252,5 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "3-balls": partial(several_balls, 3),
     "2-balls-between": partial(several_balls_between, 2),
     "3-balls-between": partial(several_balls_between, 3),
+    "paper-posnet": paper_posnet,
 }

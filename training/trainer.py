@@ -23,6 +23,8 @@ from training.simulate import Source, load_recordings, simulate_split
 
 CHECKPOINT = "checkpoint.pt"
 BEST = "best.pt"
+SHARED_WARM_UP = 0.02
+"""Share of the budget over which the shared parameters' rate rises after the heads' time alone."""
 
 
 @dataclass(frozen=True)
@@ -85,13 +87,9 @@ class Trainer:
         shared = self.family.shared_parameters()
         known = {id(parameter) for parameter in shared}
         heads = [p for p in self.family.parameters() if id(p) not in known]
-        self._optimiser = torch.optim.AdamW(
-            [{"params": shared}, {"params": heads}],
-            recipe.learning_rate,
-            # The second moment has to follow gradients that grow with the horizon.
-            betas=(0.9, 0.95),
-            weight_decay=recipe.weight_decay,
-        )
+        groups = [{"params": shared}, {"params": heads}]
+        self._optimiser = recipe.optimiser(groups, recipe.learning_rate)
+        self._schedule = recipe.schedule()
         self.batches = 0
         self._best_error = math.inf
         self._checkpoint_time = time.monotonic()
@@ -111,14 +109,15 @@ class Trainer:
         total = recipe.sequences // recipe.batch_size
         events = SummaryWriter(str(self.folder / "events"), purge_step=self.sequences)
         progress = tqdm(total=total, initial=self.batches, unit="batch", desc=recipe.name)
-        while self.batches < total:
+        while self.batches < total and not self._schedule.finished:
             loss = self._step(next(stream), self.batches / total)
             progress.update()
             if self.batches % 20 == 0:
                 progress.set_postfix(loss=f"{loss:.2f}", best=f"{self._best_error:.2f} px")
                 events.add_scalar("training/loss", loss, self.sequences)
             every = self._pace.validate_every // recipe.batch_size
-            if self.batches % every == 0 or self.batches == total:
+            ended = self.batches == total or self._schedule.finished
+            if self.batches % every == 0 or ended:
                 self._validate(windows, events)
             if time.monotonic() - self._checkpoint_time > self._pace.checkpoint_seconds:
                 self._save_checkpoint()
@@ -156,9 +155,9 @@ class Trainer:
         recipe = self.recipe
         self.family.train()
         shared, heads = self._optimiser.param_groups
-        rate = recipe.learning_rate * learning_rate_factor(spent, recipe.warm_up)
+        rate = recipe.learning_rate * self._schedule.factor(spent)
         heads["lr"] = rate
-        shared["lr"] = rate * warm_up_factor(spent - recipe.heads_alone, recipe.warm_up)
+        shared["lr"] = rate * shared_factor(spent, recipe.heads_alone)
         for parameter in shared["params"]:
             parameter.requires_grad_(spent >= recipe.heads_alone)
         horizon = horizon_at(recipe.curriculum, spent)
@@ -179,7 +178,9 @@ class Trainer:
         self._optimiser.step()
         self.batches += 1
         self._average.update_parameters(self.family)
-        return float(loss.detach())
+        value = float(loss.detach())
+        self._schedule.observe(value, recipe.batch_size)
+        return value
 
     def _autocast_forecasts(self, frames: torch.Tensor, horizon: int) -> dict[str, Observation]:
         with torch.autocast(self.device.type, torch.bfloat16):
@@ -226,6 +227,7 @@ class Trainer:
                 "family": self.family.state_dict(),
                 "average": self._average.state_dict(),
                 "optimiser": self._optimiser.state_dict(),
+                "schedule": self._schedule.state(),
                 "batches": self.batches,
                 "best_error": self._best_error,
                 "random": torch.get_rng_state(),
@@ -242,6 +244,7 @@ class Trainer:
         self.family.load_state_dict(state["family"])
         self._average.load_state_dict(state["average"])
         self._optimiser.load_state_dict(state["optimiser"])
+        self._schedule.restore(state["schedule"])
         self.batches = state["batches"]
         self._best_error = state["best_error"]
         torch.set_rng_state(state["random"].cpu())
@@ -274,16 +277,9 @@ def horizon_at(curriculum: tuple[Milestone, ...], spent: float) -> int:
     return int(np.interp(spent, shares, horizons))
 
 
-def warm_up_factor(spent: float, warm_up: float) -> float:
-    """Linear from 0 to 1 while ``spent`` goes from 0 to ``warm_up``, and 1 from there on."""
-    return min(max(spent / warm_up, 0.0), 1.0)
-
-
-def learning_rate_factor(spent: float, warm_up: float) -> float:
-    """Linear warm-up, then a cosine down to zero."""
-    if spent < warm_up:
-        return warm_up_factor(spent, warm_up)
-    return 0.5 * (1 + math.cos(math.pi * (spent - warm_up) / (1 - warm_up)))
+def shared_factor(spent: float, heads_alone: float) -> float:
+    """Factor on the shared parameters' rate: it rises once the heads have learned alone."""
+    return min(max((spent - heads_alone) / SHARED_WARM_UP, 0.0), 1.0) if heads_alone else 1.0
 
 
 def load_fitting(predictor: Predictor, initial: dict[str, torch.Tensor]) -> list[str]:

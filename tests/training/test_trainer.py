@@ -10,8 +10,8 @@ from training.trainer import (
     Pace,
     Trainer,
     horizon_at,
-    learning_rate_factor,
     load_fitting,
+    shared_factor,
 )
 
 PACE = Pace(validate_every=16, checkpoint_seconds=0, workers=0)
@@ -67,10 +67,11 @@ def test_horizon_grows_step_by_step_between_milestones():
     assert set(np.diff(horizons)) == {0, 1}
 
 
-def test_learning_rate_rises_then_falls_to_zero():
-    assert learning_rate_factor(0, 0.1) == 0
-    assert learning_rate_factor(0.1, 0.1) == 1
-    assert learning_rate_factor(1, 0.1) == pytest.approx(0)
+def test_what_is_shared_waits_for_the_heads():
+    assert shared_factor(0.5, 0) == 1
+    assert shared_factor(0.1, 0.2) == 0
+    assert shared_factor(0.21, 0.2) == pytest.approx(0.5)
+    assert shared_factor(0.9, 0.2) == 1
 
 
 def test_foreign_parameters_are_refused():
