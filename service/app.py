@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 from fastapi import FastAPI
+from fastapi_offline import FastAPIOffline
 
 from rollcast.http import API_VERSION
 from service.loading import load_registry
@@ -53,7 +54,8 @@ def create_app(settings: Settings, load: Callable[[Path], Registry] = load_regis
         state.inference.close()
         state.simulation.close()
 
-    app = FastAPI(
+    # FastAPI's own /docs loads its scripts from another host.
+    app = FastAPIOffline(
         title="Rollcast",
         version=API_VERSION,
         description="Forecasts where rolling balls go from four video frames.",

@@ -1,3 +1,4 @@
+import re
 import threading
 
 from tests.service import samples
@@ -49,5 +50,10 @@ def test_the_home_page_names_the_endpoints(client):
     assert all(path in page.text for path in ("/predict", "/simulate", "/models", "/docs"))
 
 
-def test_the_documentation_is_there(client):
-    assert client.get("/docs").status_code == 200
+def test_the_documentation_needs_no_other_host(client):
+    page = client.get("/docs").text
+    assert "://" not in page
+    files = re.findall(r'(?:src|href)="([^"]+)"', page)
+    assert len(files) >= 3
+    for file in files:
+        assert client.get(file).status_code == 200, file
