@@ -1,6 +1,7 @@
 """Frames of a video file by presentation time (extra ``video``).
 
-Times are seconds after the video's first frame. Pictures are turned as players show them.
+Times are seconds after the video's first frame. Pictures are turned, and their pixels square, as
+players show them.
 """
 
 import math
@@ -31,6 +32,8 @@ TIME_TOLERANCE_S = 0.5 / FRAME_RATE_HZ
 class _Moment(NamedTuple):
     time_s: float
     picture: VideoFrame
+    pixel_aspect: float
+    """Width of a stored pixel by its height, as players show it."""
 
 
 def read_frames(
@@ -170,7 +173,8 @@ def _moments(container: InputContainer, stream: VideoStream, origin: int) -> Ite
         if picture.pts is not None and picture.time_base is not None:
             time_s = float((picture.pts - origin) * picture.time_base)
             if time_s > last_s:
-                yield _Moment(time_s, picture)
+                # Zero or nothing means that the file does not tell.
+                yield _Moment(time_s, picture, float(stream.sample_aspect_ratio or 1))
                 last_s = time_s
 
 
@@ -204,10 +208,12 @@ def _nearest(moments: Iterable[_Moment], wanted_s: Sequence[float]) -> Iterator[
 
 
 def _footage(moments: Sequence[_Moment], crop: SquareCrop | None) -> Footage:
-    pictures = [_pixels(moment.picture) for moment in moments]
+    pictures = [_pixels(moment) for moment in moments]
     return cut_out(pictures, [moment.time_s for moment in moments], crop)
 
 
-def _pixels(picture: VideoFrame) -> UInt8[np.ndarray, "height width 3"]:
-    pixels = np.asarray(picture.to_ndarray(format="rgb24"), np.uint8)
-    return np.rot90(pixels, picture.rotation // 90)
+def _pixels(moment: _Moment) -> UInt8[np.ndarray, "height width 3"]:
+    """Picture with square pixels, turned as players show it."""
+    picture = moment.picture
+    shown = picture.reformat(width=round(picture.width * moment.pixel_aspect), format="rgb24")
+    return np.rot90(np.asarray(shown.to_ndarray(), np.uint8), picture.rotation // 90)

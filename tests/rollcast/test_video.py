@@ -23,12 +23,14 @@ def picture(number):
     return frame
 
 
-def write_video(path, times_ms, rotation=0, codec="libx264", **options):
+def write_video(path, times_ms, rotation=0, codec="libx264", pixel_aspect=None, **options):
     """Write one frame for each time; H.264 stores them in another order."""
     with av.open(path, "w") as container:
         stream = container.add_stream(codec, rate=30, options=options)
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
         stream.codec_context.time_base = Fraction(1, 1000)
+        if pixel_aspect:
+            stream.codec_context.sample_aspect_ratio = pixel_aspect
         if rotation:
             stream.set_display_rotation(rotation)
         for number, time_ms in enumerate(times_ms):
@@ -132,6 +134,18 @@ def test_pictures_are_turned_as_players_turn_them(tmp_path):
     turned = read_frames(video, crop=SquareCrop(0, 80, 16)).frames[0]
     assert turned[4, 4, 0] > 150
     assert turned[4, 4, 1] < 50
+
+
+def test_pixels_that_are_not_square_are_shown_square(tmp_path):
+    stored = write_video(tmp_path / "clip.mp4", even(30, frames=6), pixel_aspect=Fraction(4, 3))
+    crop = SquareCrop(64, 0, 64)
+    with pytest.raises(CropError):
+        read_frames(write_video(tmp_path / "plain.mp4", even(30, frames=6)), crop=crop)
+    (shown,) = read_frames(stored, crop=crop).frames[:1]
+    # 96 pixels of 4:3 are 128 wide: the darker left half ends at 64.
+    assert shown[-8:, :4].mean() == pytest.approx(20, abs=4)
+    whole = read_frames(stored, crop=SquareCrop(0, 0, 64)).frames[0]
+    assert whole[-8:, -8:].mean() == pytest.approx(4, abs=4)
 
 
 @pytest.mark.parametrize(
