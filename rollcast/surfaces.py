@@ -16,7 +16,7 @@ from rollcast.scene import Scene, Vector3
 
 BOWL_RADIUS_M = 1.0
 NOISE_AMPLITUDE_M = 0.2
-"""Height of the heightfield per unit of noise; calibrated, see docs/decisions/0010."""
+"""Height of the heightfield per unit of noise; calibrated, see docs/decisions/0014."""
 
 
 _TOUCH_M = 1e-3

@@ -1,4 +1,4 @@
-"""Shows how hard the world is beside the paper's: its averages, re-measured (decision 0010)."""
+"""Shows how hard the world is beside the paper's: its averages, re-measured (decision 0014)."""
 
 from dataclasses import dataclass
 

@@ -43,7 +43,7 @@ _UNLIMITED = 1e6
 
 @dataclass(frozen=True)
 class Material:
-    """What the paper leaves out, calibrated once to its published averages (decision 0010)."""
+    """What the paper leaves out, calibrated once to its published averages (decision 0014)."""
 
     friction: float = 0.5
     """Of every body; Bullet multiplies those of the two that touch."""

@@ -26,7 +26,7 @@ STOPPED_FRAMES = 20
 SCREENED_FRAMES = 20
 
 TEST_START: Mapping[Scenario, int] = {"hemisphere": 80, "ellipsoid": 80, "heightfield": 18}
-"""Frame of the simulation that is the first a test sees; calibrated (decision 0010)."""
+"""Frame of the simulation that is the first a test sees; calibrated (decision 0014)."""
 
 MAX_ATTEMPTS = 1000
 MAX_ATTEMPTS_WITH_PARAMETERS = 200

@@ -1,7 +1,7 @@
 """Scene distributions of the paper's section "Experimental Setup", without its rejection rules.
 
 Every field is drawn whether or not the caller fixes it, so fixing one leaves the others' draws
-alone. What the paper leaves open is settled in docs/decisions/0010.
+alone. What the paper leaves open is settled in docs/decisions/0014.
 """
 
 import math
