@@ -1,0 +1,67 @@
+"""Two balls with a final frame, from a network of one ball without: the whole way to an export."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from rollcast.manifest import MANIFEST_FILE, Manifest
+from tests.training.conftest import tiny
+from training.artefact import load_exported, read_initial
+from training.export import export_run
+from training.recipes import DataShare, Recipe, several_balls_between
+from training.simulate import SHARD_SCENES, Source
+from training.trainer import Pace, Trainer
+
+MODELS = Path(__file__).parents[2] / "models"
+PACE = Pace(validate_every=8, checkpoint_seconds=1e9, workers=0)
+
+
+@pytest.fixture(scope="module")
+def two_balls(runs) -> Recipe:
+    base = several_balls_between(2)
+    data = (DataShare(Source("ellipsoid", 2), SHARD_SCENES, share=1, latest_start=100),)
+    return replace(tiny(base), data=data, scenarios=base.scenarios, sequences=8)
+
+
+@pytest.fixture(scope="module")
+def exported(two_balls, tmp_path_factory) -> Path:
+    """Folder of the models that a few batches gave."""
+    folder = tmp_path_factory.mktemp("two-balls")
+    Trainer(two_balls, folder, PACE, [read_initial(MODELS / "posnet" / "1")]).run()
+    export_run(two_balls, folder, folder, 1, SHARD_SCENES, workers=1)
+    return folder / "interpnet-2" / "1"
+
+
+def test_the_manifest_tells_of_two_balls_and_the_final_frame(exported):
+    manifest = Manifest.read(exported / MANIFEST_FILE)
+    assert (manifest.objects, manifest.frames, manifest.final_step) == (2, 5, 29)
+    assert {row.scenario for row in manifest.metrics} == {"ellipsoid"}
+    assert max(row.horizon for row in manifest.metrics) == 30
+
+
+def test_the_export_is_read_back(exported, two_balls):
+    _, predictor = load_exported(exported)
+    frames = torch.zeros(1, 5, 128, 128, 3, dtype=torch.uint8)
+    with torch.inference_mode():
+        forecast = predictor(frames, 3)
+    assert forecast.positions.shape == (1, 2, 3, 2)
+    assert forecast.final_positions is not None
+    assert forecast.final_positions.shape == (1, 2, 2)
+
+
+def test_a_wider_network_begins_as_the_narrower_one(two_balls, tmp_path):
+    """The eye of one ball becomes that of each, and neither minds the new inputs at first."""
+    posnet = read_initial(MODELS / "posnet" / "1")
+    trainer = Trainer(two_balls, tmp_path, PACE, [posnet])
+    (member,) = trainer.family.predictors().values()
+    own = member.state_dict()
+    stem = "encoder.layers.0.weight"
+    torch.testing.assert_close(own[stem][:, :12], posnet.parameters[stem])
+    assert not own[stem][:, 12:].any()
+    last = "encoder.layers.10.weight"
+    torch.testing.assert_close(own[last], posnet.parameters[last].repeat(2, 1, 1, 1))
+    first = "transition.first.weight"
+    torch.testing.assert_close(own[first][:, :128], posnet.parameters[first])
+    assert not own[first][:, 128:].any()
