@@ -133,20 +133,60 @@ class PredictTiming(ResponseBody):
     """From the parsed request to the answer, the wait in the queue not counted."""
 
 
-class PredictResponse(ResponseBody):
-    """Answer of ``POST /predict``."""
+class ForecastSummary(ResponseBody):
+    """What an answer says besides its steps."""
 
     model: ModelReference
     frame_size: Size
     """Width and height of the frames that were sent: the unit of every position."""
     frame_rate: float
-    objects: list[ForecastObject]
-    times_s: list[float]
-    """Seconds after the last observed frame of each step."""
     final_positions: list[Point] | None
     """Where the final frame was seen to show each ball, pixels."""
     warnings: list[str]
     timing_ms: PredictTiming
+
+
+class PredictResponse(ForecastSummary):
+    """Answer of ``POST /predict``."""
+
+    objects: list[ForecastObject]
+    times_s: list[float]
+    """Seconds after the last observed frame of each step."""
+
+
+class StreamObject(ResponseBody):
+    """One ball at one step."""
+
+    id: int
+    position: Point
+    """Pixels."""
+    covariance: Matrix
+    """Square pixels."""
+    angular_velocity: Vector | None
+    """rad/s; None when the model has none."""
+
+
+class StreamStep(ResponseBody):
+    """Event ``step`` of ``POST /predict/stream``, one for every step."""
+
+    step: int
+    time_s: float
+    """Seconds after the last observed frame."""
+    objects: list[StreamObject]
+
+
+class StreamBall(ResponseBody):
+    """What does not change from step to step of one ball."""
+
+    id: int
+    color: Color
+    covariance_source: Literal["predicted", "empirical"]
+
+
+class StreamDone(ForecastSummary):
+    """Event ``done`` of ``POST /predict/stream``, the last one."""
+
+    objects: list[StreamBall]
 
 
 class SceneParameters(RequestBody):

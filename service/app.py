@@ -14,7 +14,7 @@ from service.loading import load_registry
 from service.openapi import install_openapi
 from service.problems import install_problem_handlers
 from service.registry import Registry
-from service.routes import health, home, models, predict, simulate
+from service.routes import health, home, inference, models, predict, simulate
 from service.settings import Settings
 from service.simulations import RecycledProcess
 from service.state import State
@@ -64,7 +64,7 @@ def create_app(settings: Settings, load: Callable[[Path], Registry] = load_regis
     )
     install_problem_handlers(app)
     install_openapi(app)
-    for feature in (predict, simulate, models, health, home):
+    for feature in (predict, simulate, models, inference, health, home):
         app.include_router(feature.router)
     return app
 

@@ -14,6 +14,7 @@
   x QueueFullError             429
   x ModelUnavailableError      503  the model exists and is not served
   x NotReadyError              503  no model is served, yet or any more
+  x DeadlineExceededError      504  the answer takes longer than the client waits
 
 ``service/problems.py`` turns them into problem documents (RFC 9457).
 """
@@ -136,3 +137,9 @@ class NotReadyError(ServiceError):
     """The service loads, drains, or has no usable model."""
 
     status, slug, title = 503, "not-ready", "The service is not ready"
+
+
+class DeadlineExceededError(ServiceError):
+    """The answer takes longer than the client or the settings allow."""
+
+    status, slug, title = 504, "deadline-exceeded", "The answer takes too long"

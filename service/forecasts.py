@@ -1,6 +1,8 @@
-"""One prediction request answered: decode, choose, roll out, report."""
+"""One prediction request answered, whole or step by step: decode, choose, roll out, report."""
 
 import time
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,66 +10,162 @@ from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.http import (
     DEFAULT_HORIZON,
     ForecastObject,
+    ForecastSummary,
     ModelReference,
     PredictRequest,
     PredictResponse,
     PredictTiming,
+    StreamBall,
+    StreamDone,
+    StreamObject,
+    StreamStep,
 )
 from rollcast.manifest import Manifest
 from rollcast.scene import COLORS
 from service.errors import InvalidValueError
 from service.images import decode_frames
 from service.registry import Registry, Wish
-from service.rollout import Forecast, assemble, stacked, steps_after
+from service.rollout import (
+    Forecast,
+    Outputs,
+    Predictor,
+    Step,
+    assemble,
+    stacked,
+    steps_after,
+)
+from service.waiting import Patience
 
 RATE_TOLERANCE = 0.05
 """Relative difference of frame rates beyond which the answer carries a warning."""
 
 
-def answer(request: PredictRequest, registry: Registry) -> PredictResponse:
+def answer(request: PredictRequest, registry: Registry, patience: Patience) -> PredictResponse:
     """Forecast what a request asks for. Takes milliseconds of processor time.
 
     Raises
     ------
     service.errors.ServiceError
         When the request cannot be served.
+    service.waiting.ClientGoneError
+        When nobody waits for the answer any more.
     """
+    rollout = _begin(request, registry, patience)
+    outputs = stacked(rollout.steps())
+    forecast = rollout.forecast(outputs, first_step=0)
+    summary = rollout.summary(forecast.final_positions)
+    return PredictResponse(
+        **dict(summary),
+        objects=_objects(forecast, rollout.predictor.manifest),
+        times_s=[step / request.frame_rate for step in range(rollout.horizon)],
+    )
+
+
+def stream(
+    request: PredictRequest, registry: Registry, patience: Patience
+) -> Iterator[StreamStep | StreamDone]:
+    """Forecast what a request asks for, step by step, and close with all that is no step.
+
+    Raises
+    ------
+    service.errors.ServiceError
+        When the request cannot be served, or not to its end.
+    service.waiting.ClientGoneError
+        When nobody waits for the answer any more.
+    """
+    rollout = _begin(request, registry, patience)
+    manifest = rollout.predictor.manifest
+    final = None
+    for step, outputs in enumerate(rollout.steps()):
+        forecast = rollout.forecast(stacked(iter([outputs])), first_step=step)
+        if step == 0:
+            final = forecast.final_positions
+        balls = _objects(forecast, manifest)
+        yield StreamStep(
+            step=step,
+            time_s=step / request.frame_rate,
+            objects=[
+                StreamObject(
+                    id=ball.id,
+                    position=ball.positions[0],
+                    covariance=ball.covariances[0],
+                    angular_velocity=None
+                    if ball.angular_velocities is None
+                    else ball.angular_velocities[0],
+                )
+                for ball in balls
+            ],
+        )
+    yield StreamDone(
+        **dict(rollout.summary(final)),
+        objects=[
+            StreamBall(id=ball, color=COLORS[ball], covariance_source=manifest.covariance.source)
+            for ball in range(manifest.objects)
+        ],
+    )
+
+
+@dataclass(frozen=True)
+class _Rollout:
+    """A request whose frames have been encoded, with the moments at which that was done."""
+
+    request: PredictRequest
+    predictor: Predictor
+    patience: Patience
+    first: Step
+    horizon: int
+    side: int
+    started: float
+    decoded: float
+    encoded: float
+
+    def steps(self) -> Iterator[Outputs]:
+        """Roll out."""
+        return steps_after(self.predictor, self.first, self.horizon, self.patience.check)
+
+    def forecast(self, outputs: Outputs, first_step: int) -> Forecast:
+        """Turn stacked outputs into a forecast in the units of the user's frames."""
+        manifest = self.predictor.manifest
+        return assemble(outputs, manifest.covariance, first_step).rescaled(
+            self.side / NETWORK_FRAME_SIZE, self.request.frame_rate / manifest.frame_rate_hz
+        )
+
+    def summary(self, final_positions: np.ndarray | None) -> ForecastSummary:
+        """Tell all that is no step; called at the end, for it takes the time."""
+        manifest = self.predictor.manifest
+        now = time.perf_counter()
+        return ForecastSummary(
+            model=ModelReference(
+                name=manifest.name,
+                version=manifest.version,
+                variant=manifest.variant,
+                trained_horizon=manifest.trained_horizon,
+            ),
+            frame_size=(self.side, self.side),
+            frame_rate=self.request.frame_rate,
+            final_positions=None if final_positions is None else final_positions[0].tolist(),
+            warnings=_warnings(self.request, manifest, self.horizon),
+            timing_ms=PredictTiming(
+                decode=1e3 * (self.decoded - self.started),
+                encode=1e3 * (self.encoded - self.decoded),
+                rollout=1e3 * (now - self.encoded),
+                total=1e3 * (now - self.started),
+            ),
+        )
+
+
+def _begin(request: PredictRequest, registry: Registry, patience: Patience) -> _Rollout:
+    """Choose the model, decode the frames and encode them."""
+    patience.check()
     started = time.perf_counter()
     final_frame = request.final_frame is not None
     predictor = registry.choose(Wish(request.model, request.objects, request.scenario, final_frame))
-    manifest = predictor.manifest
-    horizon = _horizon(request, manifest)
+    horizon = _horizon(request, predictor.manifest)
     frames, side = _decode(request)
     decoded = time.perf_counter()
     first = predictor.encode(frames[None])
     encoded = time.perf_counter()
-    outputs = stacked(steps_after(predictor, first, horizon))
-    forecast = assemble(outputs, manifest.covariance).rescaled(
-        side / NETWORK_FRAME_SIZE, request.frame_rate / manifest.frame_rate_hz
-    )
-    rolled_out = time.perf_counter()
-    return PredictResponse(
-        model=ModelReference(
-            name=manifest.name,
-            version=manifest.version,
-            variant=manifest.variant,
-            trained_horizon=manifest.trained_horizon,
-        ),
-        frame_size=(side, side),
-        frame_rate=request.frame_rate,
-        objects=_objects(forecast, manifest),
-        times_s=[step / request.frame_rate for step in range(horizon)],
-        final_positions=(
-            None if forecast.final_positions is None else forecast.final_positions[0].tolist()
-        ),
-        warnings=_warnings(request, manifest, horizon),
-        timing_ms=PredictTiming(
-            decode=1e3 * (decoded - started),
-            encode=1e3 * (encoded - decoded),
-            rollout=1e3 * (rolled_out - encoded),
-            total=1e3 * (time.perf_counter() - started),
-        ),
-    )
+    return _Rollout(request, predictor, patience, first, horizon, side, started, decoded, encoded)
 
 
 def _horizon(request: PredictRequest, manifest: Manifest) -> int:

@@ -10,9 +10,17 @@ from pydantic.json_schema import models_json_schema
 
 from rollcast.http import PredictRequest, Problem, SimulateRequest
 from service.problems import MEDIA_TYPE
+from service.protocol import InferError, InferRequest, InferResponse
 
 REFERENCE = "#/components/schemas/{model}"
-BODIES: Sequence[type[BaseModel]] = (PredictRequest, SimulateRequest, Problem)
+BODIES: Sequence[type[BaseModel]] = (
+    PredictRequest,
+    SimulateRequest,
+    Problem,
+    InferRequest,
+    InferResponse,
+    InferError,
+)
 
 
 def body_of(model: type[BaseModel], *media_types: str) -> dict[str, Any]:
@@ -26,6 +34,22 @@ def problems_of(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Describe the refusals of a route."""
     content = {MEDIA_TYPE: {"schema": {"$ref": REFERENCE.format(model=Problem.__name__)}}}
     return {status: {"description": "Problem document", "content": content} for status in statuses}
+
+
+def errors_of(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Describe the refusals of a route of the Open Inference Protocol."""
+    # With a default, FastAPI adds no 422 of its own, which the protocol does not have.
+    kinds: tuple[int | str, ...] = (*statuses, "default")
+    return {status: {"description": "Error", "model": InferError} for status in kinds}
+
+
+def tensors_of(model: type[BaseModel], follows: str) -> dict[str, Any]:
+    """Describe a message of the protocol: JSON alone, or with binary tensors behind it."""
+    binary = {"type": "string", "format": "binary", "description": follows}
+    return {
+        "application/json": {"schema": {"$ref": REFERENCE.format(model=model.__name__)}},
+        "application/octet-stream": {"schema": binary},
+    }
 
 
 def install_openapi(app: FastAPI) -> None:

@@ -1,4 +1,8 @@
-"""Every exception becomes a problem document (RFC 9457) here, and nowhere else."""
+"""Every exception becomes a problem document (RFC 9457) here, and nowhere else.
+
+Under ``/v2`` it becomes what the Open Inference Protocol asks for instead: an object with one
+field, ``error``, and 400 where a value is wrong.
+"""
 
 import json
 import math
@@ -21,17 +25,27 @@ from service.errors import (
     QueueFullError,
     ServiceError,
 )
+from service.protocol import InferError
 
 MEDIA_TYPE = "application/problem+json"
+PROTOCOL_PATH = "/v2"
+"""Root of the Open Inference Protocol."""
 LONGEST_VALUE = 100
 """Characters of a wrong value that are sent back."""
 LONGEST_DETAIL = 600
+MOST_FAULTS = 4
+"""Faults that the one text of the protocol tells."""
 
 
 def install_problem_handlers(app: FastAPI) -> None:
     """Make the app answer every refusal and every failure with a problem document."""
     for kind in (ServiceError, RequestValidationError, HTTPException, Exception):
         app.add_exception_handler(kind, _answer)
+
+
+def document(error: ServiceError) -> str:
+    """Return the problem document of a refusal that comes too late for a status of its own."""
+    return json.dumps(_members(_refusal(error)))
 
 
 def invalid_values(errors: Sequence[Any]) -> ServiceError:
@@ -56,7 +70,7 @@ def _mistake(error: Mapping[str, Any]) -> Mistake:
         "missing": "a value, the field is required",
         "extra_forbidden": "no such field",
         "too_short": f"{context.get('min_length')} items",
-        "too_long": f"{context.get('max_length')} items",
+        "too_long": f"at most {context.get('max_length')} items",
         "model_type": "an object",
     }.get(error["type"], in_plain_words(error["msg"]))
     value = None if error["type"] == "missing" else error["input"]
@@ -89,6 +103,8 @@ def _answer(request: Request, error: Exception) -> Response:
                 status=500,
                 detail="The fault is the service's; its log has the reason.",
             )
+    if f"{request.url.path}/".startswith(f"{PROTOCOL_PATH}/"):
+        return _protocol_error(problem, headers)
     return Response(
         json.dumps(_members(problem)), problem.status, headers=headers, media_type=MEDIA_TYPE
     )
@@ -122,6 +138,24 @@ def _http_problem(request: Request, error: HTTPException) -> Problem:
         status=error.status_code,
         detail=f"{request.method} {_shorten(request.url.path)}: {error.detail}",
     )
+
+
+def _protocol_error(problem: Problem, headers: Mapping[str, str]) -> Response:
+    """Write a problem as the protocol does; it has no status for a value that is wrong."""
+    status = HTTPStatus.BAD_REQUEST if problem.status == 422 else problem.status
+    faults = problem.errors or ([] if problem.field is None else [problem])
+    told = "; ".join(
+        f"{fault.field} is {_in_words(fault.value)}, expected {fault.expected}"
+        for fault in faults[:MOST_FAULTS]
+    )
+    error = InferError(error=told or problem.detail)
+    return Response(
+        json.dumps(error.model_dump()), status, headers=headers, media_type="application/json"
+    )
+
+
+def _in_words(value: JsonValue) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def _members(problem: Problem) -> dict[str, JsonValue]:

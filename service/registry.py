@@ -95,6 +95,24 @@ class Registry:
             raise UnknownModelError.at("model", asked, _one_of(model.label for model in versions))
         return wanted[-1]
 
+    def predictor(self, name: str, version: str | None = None) -> Predictor:
+        """Return the predictor of a name, by default of its default version.
+
+        Raises
+        ------
+        UnknownModelError
+            When there is no such name or version, or the version is no number.
+        ModelUnavailableError
+            When the version is not served.
+        """
+        if version is not None and not _is_number(version):
+            expected = "a version that is a whole number"
+            raise UnknownModelError.at("model", f"{name}@{version}", expected)
+        model = self.get(name, None if version is None else int(version))
+        if model.predictor is None:
+            raise ModelUnavailableError(f"{model.label} is refused: {model.reason}")
+        return model.predictor
+
     def choose(self, wish: Wish) -> Predictor:
         """Return the predictor for a request.
 
@@ -112,13 +130,9 @@ class Registry:
         if wish.model == AUTO_MODEL:
             return self._choose_best(wish)
         name, separator, version = wish.model.partition("@")
-        if separator and not (version.isascii() and version.isdigit()):
-            raise UnknownModelError.at("model", wish.model, "NAME or NAME@VERSION, a whole number")
-        model = self.get(name, int(version) if separator else None)
-        if model.predictor is None:
-            raise ModelUnavailableError(f"{model.label} is refused: {model.reason}")
-        _check_fit(model.predictor.manifest, wish)
-        return model.predictor
+        predictor = self.predictor(name, version if separator else None)
+        _check_fit(predictor.manifest, wish)
+        return predictor
 
     def _choose_best(self, wish: Wish) -> Predictor:
         """Apply the design's rule for "auto" to the default versions."""
@@ -155,6 +169,11 @@ class Registry:
 
 def _one_of(labels: Iterable[str]) -> str:
     return "one of " + ", ".join(labels)
+
+
+def _is_number(text: str) -> bool:
+    """Tell whether a text is a whole number, of a length that ``int`` reads."""
+    return text.isascii() and text.isdigit() and len(text) <= 18
 
 
 def _check_fit(manifest: Manifest, wish: Wish) -> None:

@@ -3,7 +3,7 @@
 Axes: B requests, N balls, T steps, K frames.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -40,11 +40,23 @@ class Predictor(Protocol):
         ...
 
 
-def steps_after(predictor: Predictor, first: Step, horizon: int) -> Iterator[Outputs]:
-    """Yield the outputs of the steps 0..horizon-1; one that is not asked for is not computed."""
+def steps_after(
+    predictor: Predictor,
+    first: Step,
+    horizon: int,
+    go_on: Callable[[], None] = lambda: None,
+) -> Iterator[Outputs]:
+    """Yield the outputs of the steps 0..horizon-1; one that is not asked for is not computed.
+
+    Parameters
+    ----------
+    go_on
+        Called before every step; ends the rollout by raising.
+    """
     step = first
     yield step.outputs
     for _ in range(1, horizon):
+        go_on()
         step = predictor.advance(step.state)
         yield step.outputs
 
@@ -92,8 +104,15 @@ class Forecast:
         )
 
 
-def assemble(outputs: Mapping[OutputName, np.ndarray], covariance: CovarianceSource) -> Forecast:
+def assemble(
+    outputs: Mapping[OutputName, np.ndarray], covariance: CovarianceSource, first_step: int = 0
+) -> Forecast:
     """Make a forecast of stacked outputs: one of the two sources tells its covariances.
+
+    Parameters
+    ----------
+    first_step
+        Step that the outputs begin with.
 
     Raises
     ------
@@ -101,31 +120,32 @@ def assemble(outputs: Mapping[OutputName, np.ndarray], covariance: CovarianceSou
         When a number is not finite.
     """
     positions = outputs["positions"]
-    horizon = positions.shape[2]
+    steps = np.arange(first_step, first_step + positions.shape[2], dtype=np.intp)
     if covariance.empirical is not None:
-        table = np.array(covariance.empirical)[_held(horizon, len(covariance.empirical))]
+        table = np.array(covariance.empirical)[_held(steps, len(covariance.empirical))]
         covariances = np.broadcast_to(table, (*positions.shape, 2))
     else:
         covariances = outputs["covariances"]
         if covariance.variance_scale is not None:
             scale = np.array(covariance.variance_scale)
-            covariances = covariances * scale[_held(horizon, len(scale)), None, None]
+            covariances = covariances * scale[_held(steps, len(scale)), None, None]
     forecast = Forecast(
         positions, covariances, outputs.get("angular_velocities"), outputs.get("final_positions")
     )
-    _refuse_divergence(forecast)
+    _refuse_divergence(forecast, first_step)
     return forecast
 
 
-def _held(horizon: int, known: int) -> np.ndarray:
+def _held(steps: np.ndarray, known: int) -> np.ndarray:
     """Index of each step in a table of ``known`` steps, the last of which is held beyond."""
-    return np.minimum(np.arange(horizon), known - 1)
+    return np.minimum(steps, known - 1)
 
 
-def _refuse_divergence(forecast: Forecast) -> None:
+def _refuse_divergence(forecast: Forecast, first_step: int) -> None:
     for values in (forecast.positions, forecast.covariances, forecast.angular_velocities):
         if values is None or np.isfinite(values).all():
             continue
         by_step = np.isfinite(values).all(axis=(0, 1, *range(3, values.ndim)))
-        finite = int(np.argmin(by_step))
-        raise DivergedError.at("horizon", values.shape[2], f"at most {finite} for these frames")
+        finite = first_step + int(np.argmin(by_step))
+        asked = first_step + values.shape[2]
+        raise DivergedError.at("horizon", asked, f"at most {finite} for these frames")

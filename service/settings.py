@@ -38,6 +38,11 @@ class Settings(BaseSettings):
     this process may use."""
     inference_queue: Annotated[int, Field(ge=0)] = 64
     """Forecasts that may wait for a thread; one more is refused with 429."""
+    deadline_s: Annotated[float, Field(gt=0)] = 60
+    """Seconds after which a forecast that is not there is given up with 504, the wait in the queue
+    included; the header X-Request-Timeout-Ms may ask for less."""
+    max_batch: Annotated[int, Field(ge=1)] = 16
+    """Requests that may be forecast together in one tensor of ``/v2``."""
     simulation_queue: Annotated[int, Field(ge=0)] = 8
     """Simulations that may wait for the one that runs; one more is refused with 429."""
     simulation_recycle: Annotated[int, Field(ge=1)] = 500

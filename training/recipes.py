@@ -93,7 +93,8 @@ class Recipe:
     schedule: Callable[[], Schedule] = Cosine
     heads_alone: float = 0.0
     """Share of the budget in which only the heads learn: fresh heads would spoil what is shared."""
-    gradient_clip: float = 1.0
+    gradient_clip: float = 2.0
+    """Longest gradient, in multiples of the usual length: one batch cannot throw a rollout off."""
     average_decay: float = 0.999
     """Of the exponential moving average of the weights, which is what gets evaluated."""
     validation_scenes: int = 100
@@ -166,10 +167,9 @@ def one_ball_continued() -> Recipe:
     return replace(
         one_ball(),
         name="one-ball-continued",
-        sequences=280_000,
+        sequences=144_000,
         curriculum=(Milestone(0, 20),),
-        learning_rate=5e-4,
-        heads_alone=0.1,
+        learning_rate=4e-4,
     )
 
 

@@ -23,6 +23,7 @@ from training.simulate import Source, load_recordings, simulate_split
 
 CHECKPOINT = "checkpoint.pt"
 BEST = "best.pt"
+USUAL_GRADIENT_MEMORY = 0.99
 SHARED_WARM_UP = 0.02
 """Share of the budget over which the shared parameters' rate rises after the heads' time alone."""
 
@@ -91,6 +92,7 @@ class Trainer:
         self._optimiser = recipe.optimiser(groups, recipe.learning_rate)
         self._schedule = recipe.schedule()
         self.batches = 0
+        self._usual_gradient = 0.0
         self._best_error = math.inf
         self._checkpoint_time = time.monotonic()
 
@@ -174,13 +176,25 @@ class Trainer:
                 loss = loss + member.weight * final_loss(made, final)
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.family.parameters(), recipe.gradient_clip)
+        self._clip_gradients()
         self._optimiser.step()
         self.batches += 1
         self._average.update_parameters(self.family)
         value = float(loss.detach())
         self._schedule.observe(value, recipe.batch_size)
         return value
+
+    def _clip_gradients(self) -> None:
+        """Cut the gradient to a multiple of its usual length, a running mean of what was let in."""
+        usual = self._usual_gradient
+        limit = self.recipe.gradient_clip * usual if usual else math.inf
+        norm = float(torch.nn.utils.clip_grad_norm_(self.family.parameters(), limit))
+        if not math.isfinite(norm):
+            # Without gradients the optimiser leaves everything as it is.
+            self._optimiser.zero_grad(set_to_none=True)
+            return
+        memory = min(USUAL_GRADIENT_MEMORY, self.batches / (self.batches + 1))
+        self._usual_gradient = memory * usual + (1 - memory) * min(norm, limit)
 
     def _autocast_forecasts(self, frames: torch.Tensor, horizon: int) -> dict[str, Observation]:
         with torch.autocast(self.device.type, torch.bfloat16):
@@ -229,6 +243,7 @@ class Trainer:
                 "optimiser": self._optimiser.state_dict(),
                 "schedule": self._schedule.state(),
                 "batches": self.batches,
+                "usual_gradient": self._usual_gradient,
                 "best_error": self._best_error,
                 "random": torch.get_rng_state(),
             },
@@ -246,6 +261,7 @@ class Trainer:
         self._optimiser.load_state_dict(state["optimiser"])
         self._schedule.restore(state["schedule"])
         self.batches = state["batches"]
+        self._usual_gradient = state["usual_gradient"]
         self._best_error = state["best_error"]
         torch.set_rng_state(state["random"].cpu())
 

@@ -1,38 +1,110 @@
-"""``POST /predict``: four frames in, a forecast out."""
+"""``POST /predict`` and ``/predict/stream``: four frames in, a forecast out."""
+
+from collections.abc import AsyncGenerator, Callable
+from functools import partial
 
 from fastapi import APIRouter, Request, Response
+from fastapi.sse import EventSourceResponse, format_sse_event
 
-from rollcast.http import PredictRequest, PredictResponse
+from rollcast.http import PredictRequest, PredictResponse, StreamDone, StreamStep
 from service.bodies import JSON, MULTIPART, media_type, parse_json, read_body, read_form
-from service.forecasts import answer
+from service.errors import ServiceError
+from service.forecasts import answer, stream
 from service.openapi import body_of, problems_of
+from service.problems import document
 from service.registry import Registry
 from service.state import ServiceState
+from service.waiting import (
+    CLIENT_CLOSED_REQUEST,
+    ClientGoneError,
+    Patience,
+    answered,
+    streamed,
+    timeout_s,
+)
 
 router = APIRouter(tags=["forecast"])
+
+PROBLEMS = problems_of(400, 404, 413, 415, 422, 429, 503, 504)
+EVENTS = "text/event-stream"
 
 
 @router.post(
     "/predict",
     response_model=PredictResponse,
-    responses=problems_of(400, 404, 413, 415, 422, 429, 503),
+    responses=PROBLEMS,
     openapi_extra=body_of(PredictRequest, JSON, MULTIPART),
 )
 async def predict(request: Request, service: ServiceState) -> Response:
     """Forecast where the balls of four frames go, with angular velocities and covariances."""
     service.require_serving()
-    if media_type(request, (JSON, MULTIPART)) == JSON:
-        body = await read_body(request)
-        content = await service.inference.run(_answer_json, body, service.registry)
-    else:
-        form = await read_form(request, PredictRequest, lists=frozenset({"frames"}))
-        content = await service.inference.run(_answer, form, service.registry)
+    parse = await _body(request)
+    try:
+        content = await answered(
+            request,
+            service.inference,
+            timeout_s(request, service.settings),
+            partial(_answer, parse, service.registry),
+        )
+    except ClientGoneError:
+        return Response(status_code=CLIENT_CLOSED_REQUEST)
     return Response(content, media_type=JSON)
 
 
-def _answer_json(body: bytes, registry: Registry) -> str:
-    return _answer(parse_json(body, PredictRequest), registry)
+@router.post(
+    "/predict/stream",
+    response_class=Response,  # declared as EventSourceResponse, FastAPI would take the route over
+    responses={
+        **PROBLEMS,
+        200: {
+            "description": "Server-sent events: a `step` for every step (StreamStep), then `done` "
+            "(StreamDone), or `error` with a problem document.",
+            "content": {EVENTS: {"schema": {"type": "string"}}},
+        },
+    },
+    openapi_extra=body_of(PredictRequest, JSON, MULTIPART),
+)
+async def predict_stream(request: Request, service: ServiceState) -> Response:
+    """Forecast as /predict does, and send every step as soon as it is there."""
+    service.require_serving()
+    parse = await _body(request)
+    events = streamed(
+        request,
+        service.inference,
+        timeout_s(request, service.settings),
+        lambda patience: stream(parse(), service.registry, patience),
+    )
+    # What is refused before the first step is refused as by /predict.
+    first = await anext(events, None)
+    return EventSourceResponse(_lines(first, events))
 
 
-def _answer(request: PredictRequest, registry: Registry) -> str:
-    return answer(request, registry).model_dump_json()
+async def _body(request: Request) -> Callable[[], PredictRequest]:
+    """Read the body; parsing JSON is left to a worker."""
+    if media_type(request, (JSON, MULTIPART)) == JSON:
+        return partial(parse_json, await read_body(request), PredictRequest)
+    form = await read_form(request, PredictRequest, lists=frozenset({"frames"}))
+    return lambda: form
+
+
+def _answer(parse: Callable[[], PredictRequest], registry: Registry, patience: Patience) -> str:
+    return answer(parse(), registry, patience).model_dump_json()
+
+
+async def _lines(
+    first: StreamStep | StreamDone | None, rest: AsyncGenerator[StreamStep | StreamDone]
+) -> AsyncGenerator[bytes]:
+    try:
+        if first is not None:
+            yield _event(first)
+        async for event in rest:
+            yield _event(event)
+    except ServiceError as error:
+        yield format_sse_event(event="error", data_str=document(error))
+    finally:
+        await rest.aclose()
+
+
+def _event(event: StreamStep | StreamDone) -> bytes:
+    name = "done" if isinstance(event, StreamDone) else "step"
+    return format_sse_event(event=name, data_str=event.model_dump_json())

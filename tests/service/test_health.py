@@ -47,7 +47,7 @@ def test_not_ready_while_draining(client):
 def test_the_home_page_names_the_endpoints(client):
     page = client.get("/")
     assert page.headers["content-type"].startswith("text/html")
-    assert all(path in page.text for path in ("/predict", "/simulate", "/models", "/docs"))
+    assert all(path in page.text for path in ("/predict", "/simulate", "/models", "/v2", "/docs"))
 
 
 def test_the_documentation_needs_no_other_host(client):

@@ -48,6 +48,12 @@ PREDICT = {
     "unknown field": (with_fields(colour="red"), 422, INVALID, "colour"),
     "unknown model": (with_fields(model="nope"), 404, "unknown-model", "model"),
     "megabytes in a name": (with_fields(model="x" * 10**6), 404, "unknown-model", "model"),
+    "a version of many digits": (
+        with_fields(model=f"dot@{'1' * 5000}"),
+        404,
+        "unknown-model",
+        "model",
+    ),
     "three frames": (with_images(*GOOD[:3]), 422, INVALID, "frames"),
     "five frames": (with_images(*GOOD, GOOD[0]), 422, INVALID, "frames"),
     "no frames": (raw("{}"), 422, INVALID, "frames"),

@@ -1,0 +1,186 @@
+"""``/v2``: the Open Inference Protocol over REST, with the binary tensor extension."""
+
+from functools import partial
+
+from fastapi import APIRouter, Request, Response, status
+
+from rollcast.http import API_VERSION
+from service.bodies import JSON, parse_json, read_body
+from service.openapi import errors_of, tensors_of
+from service.problems import PROTOCOL_PATH
+from service.protocol import (
+    InferRequest,
+    InferResponse,
+    ModelMetadata,
+    ModelReady,
+    ServerLive,
+    ServerMetadata,
+    ServerReady,
+)
+from service.rollout import Predictor, assemble, stacked, steps_after
+from service.state import ServiceState, State
+from service.tensors import (
+    LENGTH_HEADER,
+    Message,
+    inputs_of,
+    outputs_of,
+    read_query,
+    split,
+    write_answer,
+)
+from service.waiting import (
+    CLIENT_CLOSED_REQUEST,
+    ClientGoneError,
+    Patience,
+    answered,
+    timeout_s,
+)
+
+OCTETS = "application/octet-stream"
+PLATFORM = "onnxruntime_onnx"
+
+MODEL_ERRORS = errors_of(404, 503)
+INFER_ANSWERS = {
+    **errors_of(400, 404, 413, 429, 503, 504),
+    200: {
+        "description": f"The outputs; with binary ones, {LENGTH_HEADER} tells the JSON's length.",
+        "content": tensors_of(InferResponse, "InferResponse as JSON, then the binary outputs"),
+    },
+}
+INFER_BODY = {
+    "requestBody": {
+        "required": True,
+        "content": tensors_of(InferRequest, "InferRequest as JSON, then the binary inputs"),
+    },
+    "parameters": [
+        {
+            "name": LENGTH_HEADER,
+            "in": "header",
+            "description": "Length of the JSON when binary inputs follow it.",
+            "schema": {"type": "integer", "minimum": 0},
+        }
+    ],
+}
+
+router = APIRouter(prefix=PROTOCOL_PATH, tags=["open inference protocol"])
+
+
+@router.get("")
+async def server_metadata() -> ServerMetadata:
+    """Tell what this server is."""
+    return ServerMetadata(name="rollcast", version=API_VERSION, extensions=["binary_tensor_data"])
+
+
+@router.get("/health/live")
+async def server_live() -> ServerLive:
+    """Answer as long as the process runs."""
+    return ServerLive(live=True)
+
+
+@router.get(
+    "/health/ready", responses={status.HTTP_503_SERVICE_UNAVAILABLE: {"model": ServerReady}}
+)
+async def server_ready(service: ServiceState, response: Response) -> ServerReady:
+    """Answer 200 when forecasts are answered; 503 while loading, draining, or with no model."""
+    ready = service.readiness == "ready"
+    if not ready:
+        response.status_code = status.HTTP_503_SERVICE_UNAVAILABLE
+    return ServerReady(live=True, ready=ready)
+
+
+@router.get("/models/{name}", responses=MODEL_ERRORS)
+async def model_metadata(name: str, service: ServiceState) -> ModelMetadata:
+    """Describe the tensors of a model's default version."""
+    return _metadata(_predictor(service, name), service)
+
+
+@router.get("/models/{name}/versions/{version}", responses=MODEL_ERRORS)
+async def version_metadata(name: str, version: str, service: ServiceState) -> ModelMetadata:
+    """Describe the tensors of one version of a model."""
+    return _metadata(_predictor(service, name, version), service)
+
+
+@router.get("/models/{name}/ready", responses=MODEL_ERRORS)
+async def model_ready(name: str, service: ServiceState) -> ModelReady:
+    """Answer 200 when the default version of a model answers forecasts."""
+    return ModelReady(name=_predictor(service, name).manifest.name, ready=True)
+
+
+@router.get("/models/{name}/versions/{version}/ready", responses=MODEL_ERRORS)
+async def version_ready(name: str, version: str, service: ServiceState) -> ModelReady:
+    """Answer 200 when one version of a model answers forecasts."""
+    return ModelReady(name=_predictor(service, name, version).manifest.name, ready=True)
+
+
+@router.post(
+    "/models/{name}/infer",
+    response_model=InferResponse,
+    responses=INFER_ANSWERS,
+    openapi_extra=INFER_BODY,
+)
+async def infer(name: str, request: Request, service: ServiceState) -> Response:
+    """Forecast a batch with the default version of a model, in pixels of 128-pixel frames."""
+    return await _infer(request, service, name)
+
+
+@router.post(
+    "/models/{name}/versions/{version}/infer",
+    response_model=InferResponse,
+    responses=INFER_ANSWERS,
+    openapi_extra=INFER_BODY,
+)
+async def infer_by_version(
+    name: str, version: str, request: Request, service: ServiceState
+) -> Response:
+    """Forecast a batch with one version of a model, in pixels of 128-pixel frames."""
+    return await _infer(request, service, name, version)
+
+
+def _predictor(service: State, name: str, version: str | None = None) -> Predictor:
+    service.require_serving()
+    return service.registry.predictor(name, version)
+
+
+def _metadata(predictor: Predictor, service: State) -> ModelMetadata:
+    manifest = predictor.manifest
+    return ModelMetadata(
+        name=manifest.name,
+        versions=[str(model.version) for model in service.registry.versions(manifest.name)],
+        platform=PLATFORM,
+        inputs=inputs_of(manifest),
+        outputs=outputs_of(manifest),
+    )
+
+
+async def _infer(
+    request: Request, service: State, name: str, version: str | None = None
+) -> Response:
+    predictor = _predictor(service, name, version)
+    body = await read_body(request)
+    length = request.headers.get(LENGTH_HEADER)
+    try:
+        message = await answered(
+            request,
+            service.inference,
+            timeout_s(request, service.settings),
+            partial(_answer, body, length, predictor, service.settings.max_batch),
+        )
+    except ClientGoneError:
+        return Response(status_code=CLIENT_CLOSED_REQUEST)
+    if message.json_length is None:
+        return Response(message.content, media_type=JSON)
+    headers = {LENGTH_HEADER: str(message.json_length)}
+    return Response(message.content, headers=headers, media_type=OCTETS)
+
+
+def _answer(
+    body: bytes, length: str | None, predictor: Predictor, max_batch: int, patience: Patience
+) -> Message:
+    """Parse, forecast and write, in a worker."""
+    patience.check()
+    manifest = predictor.manifest
+    text, binary = split(body, length)
+    query = read_query(parse_json(text, InferRequest), binary, manifest, max_batch)
+    first = predictor.encode(query.frames)
+    outputs = stacked(steps_after(predictor, first, query.horizon, patience.check))
+    return write_answer(query, manifest, assemble(outputs, manifest.covariance))

@@ -1,0 +1,148 @@
+"""Somebody waits for every forecast: until its deadline passes, or until they go away.
+
+A rollout asks between two steps whether it is still wanted, so its worker is free within one step.
+"""
+
+import asyncio
+import threading
+from collections.abc import AsyncGenerator, Callable, Iterator
+from contextlib import suppress
+from typing import TypeVar
+
+from fastapi import Request
+
+from service.errors import DeadlineExceededError, InvalidValueError
+from service.settings import Settings
+from service.workers import Workers
+
+T = TypeVar("T")
+
+TIMEOUT_HEADER = "x-request-timeout-ms"
+CLIENT_CLOSED_REQUEST = 499
+"""Status of an answer that nobody is there to read: for the log alone."""
+
+
+class ClientGoneError(Exception):
+    """Nobody waits for the answer any more."""
+
+
+class Patience:
+    """Whether somebody still waits. Asked by a worker, ended by the event loop."""
+
+    def __init__(self) -> None:
+        self._over = threading.Event()
+
+    def end(self) -> None:
+        """Stop waiting."""
+        self._over.set()
+
+    def check(self) -> None:
+        """Go on only if somebody waits.
+
+        Raises
+        ------
+        ClientGoneError
+            When nobody does.
+        """
+        if self._over.is_set():
+            raise ClientGoneError
+
+
+def timeout_s(request: Request, settings: Settings) -> float:
+    """Seconds that a request may take: what its header asks for, at most what the settings allow.
+
+    Raises
+    ------
+    InvalidValueError
+        When the header is not a whole number of milliseconds.
+    """
+    text = request.headers.get(TIMEOUT_HEADER)
+    if text is None:
+        return settings.deadline_s
+    if not (text.isascii() and text.isdigit() and 1 <= len(text) <= 9 and int(text) > 0):
+        expected = "a whole number of milliseconds, 1 to 999999999"
+        raise InvalidValueError.at(TIMEOUT_HEADER, text, expected)
+    return min(int(text) / 1000, settings.deadline_s)
+
+
+async def answered(
+    request: Request, workers: Workers, timeout: float, call: Callable[[Patience], T]
+) -> T:
+    """Run a call in a worker and return what it returns.
+
+    Raises
+    ------
+    ClientGoneError
+        When the client goes away before that.
+    DeadlineExceededError
+        When it takes longer than ``timeout`` seconds, the wait in the queue included.
+    QueueFullError
+        When no worker can take it.
+    """
+    patience = Patience()
+    work = asyncio.ensure_future(workers.run(call, patience))
+    gone = asyncio.ensure_future(_disconnect(request))
+    try:
+        done, _ = await asyncio.wait(
+            {work, gone}, timeout=timeout, return_when=asyncio.FIRST_COMPLETED
+        )
+        if work in done:
+            return work.result()
+        if gone in done:
+            raise ClientGoneError
+        raise DeadlineExceededError(f"The answer was not there after {timeout:g} s.")
+    finally:
+        patience.end()
+        gone.cancel()
+        work.cancel()
+        with suppress(asyncio.CancelledError, Exception):
+            await gone
+
+
+async def streamed(
+    request: Request,
+    workers: Workers,
+    timeout: float,
+    produce: Callable[[Patience], Iterator[T]],
+) -> AsyncGenerator[T]:
+    """Yield what a generator yields in a worker, as it comes, until the client goes away.
+
+    Raises
+    ------
+    DeadlineExceededError
+        When the whole takes longer than ``timeout`` seconds, the wait in the queue included.
+    QueueFullError
+        When no worker can take it.
+    """
+    loop = asyncio.get_running_loop()
+    ends = loop.time() + timeout
+    events: asyncio.Queue[T | None] = asyncio.Queue()
+    patience = Patience()
+
+    def work() -> None:
+        for event in produce(patience):
+            loop.call_soon_threadsafe(events.put_nowait, event)
+
+    running = asyncio.ensure_future(workers.run(work))
+    gone = asyncio.ensure_future(_disconnect(request))
+    for end in (running, gone):
+        end.add_done_callback(lambda _: events.put_nowait(None))
+    try:
+        while (event := await asyncio.wait_for(events.get(), ends - loop.time())) is not None:
+            yield event
+        if not gone.done():
+            await running
+    except TimeoutError as error:
+        raise DeadlineExceededError(f"The answer was not there after {timeout:g} s.") from error
+    finally:
+        patience.end()
+        gone.cancel()
+        running.cancel()
+
+
+async def _disconnect(request: Request) -> None:
+    """Return when the client goes away; the body has been read."""
+    while True:
+        message = await request.receive()
+        if message["type"] == "http.disconnect":
+            return
