@@ -4,6 +4,7 @@ Exit codes: 0 done, 1 it failed (one line on stderr says why), 2 the arguments a
 """
 
 import argparse
+import os
 import re
 import sys
 from collections.abc import Callable, Sequence
@@ -48,6 +49,11 @@ def main(arguments: Sequence[str] | None = None, connect: Callable[[str], Client
     options = _parser().parse_args(arguments)
     try:
         _predict(options, connect)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader, `head` for example, has seen enough; Python would complain of it at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except UnreachableError as error:
         print(f"rollcast: {error}; is the service running (make serve)?", file=sys.stderr)
     except (RollcastError, _Failure, OSError) as error:

@@ -94,3 +94,16 @@ def test_a_service_that_does_not_run_is_one_line(video):
     assert (run.returncode, run.stdout) == (1, "")
     assert run.stderr.endswith("is the service running (make serve)?\n")
     assert run.stderr.count("\n") == 1
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(address, video):
+    command = [sys.executable, "-m", "rollcast", "predict", str(video), "--url", address]
+    command += ["--start", "0.25", "--crop", f"{BESIDE},0,{SIDE}"]
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        assert run.stdout is not None
+        assert run.stderr is not None
+        run.stdout.close()
+        assert run.stderr.read() == ""
+    assert run.returncode == 0
