@@ -8,7 +8,7 @@ from pathlib import Path
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from rollcast.scene import SCENARIOS
 from training import calibration, campaign
-from training.artefact import load_exported, read_initial
+from training.artefact import initial_networks, load_exported
 from training.evaluate import evaluation_sets, markdown_table, metric_rows, run
 from training.export import export_run, with_covariance
 from training.models.paper import VggEncoder, load_imagenet
@@ -69,7 +69,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         default=[],
         metavar="MODEL",
-        help="exported models (models/NAME/VERSION) to start from; the first one's encoder wins",
+        help="exported models (models/NAME/VERSION) or a run's folder to start from; the first "
+        "one's encoder wins",
     )
     train.add_argument(
         "--imagenet",
@@ -131,7 +132,7 @@ def _calibrate(arguments: argparse.Namespace) -> None:
 def _train(arguments: argparse.Namespace) -> None:
     recipe = RECIPES[arguments.recipe]()
     folder = runs_folder() / arguments.recipe
-    initial = [read_initial(folder) for folder in arguments.init]
+    initial = [one for start in arguments.init for one in initial_networks(start)]
     trainer = Trainer(recipe, folder, Pace(workers=1, simulators=arguments.workers), initial)
     if arguments.imagenet is not None:
         encoder = next(iter(trainer.family.predictors().values())).encoder

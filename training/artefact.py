@@ -10,7 +10,7 @@ from onnx import numpy_helper
 from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, STEP_FILE, Manifest
 from training.models.predictor import Predictor
 from training.models.presets import PRESETS
-from training.trainer import Initial
+from training.trainer import BEST, Initial
 
 
 def read_parameters(folder: Path) -> dict[str, torch.Tensor]:
@@ -29,6 +29,14 @@ def read_initial(folder: Path) -> Initial:
     sequences = manifest.training["sequences"]
     assert isinstance(sequences, int)
     return Initial(manifest.name, read_parameters(folder), sequences)
+
+
+def initial_networks(folder: Path) -> list[Initial]:
+    """Return what a training starts with: an exported model, or the best networks of a run."""
+    if not (folder / BEST).exists():
+        return [read_initial(folder)]
+    best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
+    return [Initial(name, weights, best["sequences"]) for name, weights in best["weights"].items()]
 
 
 def load_exported(folder: Path) -> tuple[Manifest, Predictor]:

@@ -173,6 +173,17 @@ def one_ball_continued() -> Recipe:
     )
 
 
+def one_ball_annealed() -> Recipe:
+    """Let weights that already forecast settle: a short, slow last stretch (``--init``)."""
+    return replace(
+        one_ball_continued(),
+        name="one-ball-annealed",
+        sequences=27_200,
+        learning_rate=2e-4,
+        average_decay=0.995,
+    )
+
+
 def one_ball_between() -> Recipe:
     """InterpNet for one ball in all scenarios; it sees step 39."""
     return replace(
@@ -247,6 +258,7 @@ def _interpolating(suffix: str) -> Member:
 RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "one-ball": one_ball,
     "one-ball-continued": one_ball_continued,
+    "one-ball-annealed": one_ball_annealed,
     "one-ball-between": one_ball_between,
     "2-balls": partial(several_balls, 2),
     "3-balls": partial(several_balls, 3),
