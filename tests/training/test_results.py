@@ -38,6 +38,12 @@ def test_every_picture_of_the_page_is_there(made):
             assert picture.width > 300
 
 
+def test_the_committed_results_are_those_of_the_committed_models(made):
+    results, _ = made
+    stored = Results.read(MODELS.parent / "docs" / "results" / "results.json")
+    assert disagreements(results, stored) == []
+
+
 def test_the_models_beat_staying_put_and_agree_with_themselves(made):
     results, _ = made
     errors = {(c.scenario, c.method, c.at): c.position_error_px for c in results.cells}
