@@ -28,7 +28,6 @@ from rollcast.manifest import (
     STEP_FILE,
     CovarianceSource,
     Manifest,
-    MetricRow,
     Output,
     OutputName,
     Parity,
@@ -36,8 +35,9 @@ from rollcast.manifest import (
 )
 from rollcast.scene import Scenario
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
+from training.card import LICENCE, model_card
 from training.dataset import Window, collate
-from training.evaluate import EvaluationSet, evaluation_sets, markdown_table, metric_rows, run
+from training.evaluate import EvaluationSet, evaluation_sets, metric_rows, run
 from training.metrics import Forecasts
 from training.models.predictor import Head, Observation, Predictor, State
 from training.recipes import Recipe
@@ -60,7 +60,6 @@ UNITS: Mapping[OutputName, str] = {
     "final_positions": "px",
 }
 GOLDEN_SEQUENCES = 2
-LICENCE = "Apache-2.0"
 
 
 class EncoderGraph(Predictor):
@@ -155,7 +154,7 @@ def export(
         if row.split == "validation" and row.horizon == horizon
     ]
     observation = _observation_of(predictor, sample)
-    card = model_card(trained, version, rows, covariance)
+    card = model_card(trained.recipe, trained.name, version, trained.sequences, rows, covariance)
     (folder / CARD_FILE).write_text(card, encoding="utf-8")
     manifest = Manifest(
         format_version=1,
@@ -381,51 +380,6 @@ def _served_covariances(made: Forecasts, covariance: CovarianceSource) -> np.nda
     assert covariance.variance_scale is not None
     scale = np.array(covariance.variance_scale, dtype=np.float32)
     return made.covariances * scale[:, None, None]
-
-
-def model_card(
-    trained: Trained, version: int, rows: Sequence[MetricRow], covariance: CovarianceSource
-) -> str:
-    """Model card in Markdown, with the measured error whatever it is."""
-    recipe = trained.recipe
-    source = {
-        "predicted": "predicted by the network, times a scale per step fitted on validation",
-        "empirical": "the covariance of the network's own validation residuals at each step",
-    }[covariance.source]
-    frames = "four 128 x 128 frames"
-    if recipe.final_step is not None:
-        frames += f" and the one of step {recipe.final_step}"
-    scenes = ", ".join(f"{part.scenes} {part.source.name}" for part in recipe.data)
-    others = [member.name for member in recipe.members if member.name != trained.name]
-    together = (
-        f"\n  Trained together with {', '.join(others)}: the state is shared." if others else ""
-    )
-    return f"""# {trained.name}@{version}
-
-{recipe.member(trained.name).variant} ({recipe.preset} preset), {recipe.objects} ball(s), scenarios
-{", ".join(recipe.scenarios)}. It sees {frames} at {FRAME_RATE_HZ} Hz and was trained
-to forecast {recipe.trained_horizon} steps.
-
-- Trained on {trained.sequences:,} sequences from simulated scenes: {scenes}.{together}
-- Uncertainty: {source}.
-- Limits: simulated scenes of these scenarios only; beyond step {recipe.trained_horizon} it
-  extrapolates past its training.
-- Licence: {LICENCE}.
-
-## Measured
-
-128-pixel units, mean over scenes that training never saw, from the fixed test start; T is the
-horizon, so the error is that of step T - 1. "Stays put" and "line" (through ten true positions,
-t = -3..6) are measured on the same scenes.
-
-### Test
-
-{markdown_table([row for row in rows if row.split == "test"])}
-
-### Validation
-
-{markdown_table([row for row in rows if row.split == "validation"])}
-"""
 
 
 def _sha256(path: Path) -> str:
