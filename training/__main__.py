@@ -133,7 +133,7 @@ def _train(arguments: argparse.Namespace) -> None:
     recipe = RECIPES[arguments.recipe]()
     folder = runs_folder() / arguments.recipe
     initial = [one for start in arguments.init for one in initial_networks(start)]
-    trainer = Trainer(recipe, folder, Pace(workers=1, simulators=arguments.workers), initial)
+    trainer = Trainer(recipe, folder, Pace(simulators=arguments.workers), initial)
     if arguments.imagenet is not None:
         encoder = next(iter(trainer.family.predictors().values())).encoder
         if not isinstance(encoder, VggEncoder):
@@ -195,7 +195,7 @@ def _campaign(arguments: argparse.Namespace) -> None:
     folder = runs_folder() / "campaign"
     while chosen := campaign.next_round(campaign.lines(), folder, MODELS, arguments.sequences):
         print(f"{chosen.recipe.name}, round {chosen.number}: {chosen.recipe.sequences} sequences")
-        outcome = campaign.train(chosen, MODELS)
+        outcome = campaign.train(chosen, MODELS, Pace(simulators=arguments.workers))
         print(f"{outcome.error_before_px} px before, {outcome.error_px} px now")
         if outcome.gain > 0:
             _show(

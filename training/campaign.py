@@ -21,7 +21,8 @@ from training.recipes import (
     several_balls,
     several_balls_between,
 )
-from training.trainer import Initial, Trainer
+from training.results import committed
+from training.trainer import Initial, Pace, Trainer
 
 OUTCOME = "outcome.json"
 LEAST_GAIN = 0.01
@@ -132,11 +133,8 @@ def committed_errors(recipe: Recipe, models: Path) -> Mapping[str, float] | None
 
 
 def newest(models: Path, name: str) -> Path | None:
-    """Folder of a model's default version."""
-    for path in sorted(models.glob(f"{name}/*/{MANIFEST_FILE}")):
-        if Manifest.read(path).default:
-            return path.parent
-    return None
+    """Folder of a model's default version; None when there is none."""
+    return next((folder for folder in committed(models) if folder.parent.name == name), None)
 
 
 def initial_of(chosen: Round, models: Path) -> list[Initial]:
@@ -147,10 +145,10 @@ def initial_of(chosen: Round, models: Path) -> list[Initial]:
     return [read_initial(folder) for folder in own or parents]
 
 
-def train(chosen: Round, models: Path) -> Outcome:
+def train(chosen: Round, models: Path, pace: Pace) -> Outcome:
     """Train a round to its end; return what it gave."""
     before = committed_errors(chosen.recipe, models)
-    trainer = Trainer(chosen.recipe, chosen.folder, initial=initial_of(chosen, models))
+    trainer = Trainer(chosen.recipe, chosen.folder, pace, initial_of(chosen, models))
     error = trainer.run()
     mean = None if before is None else sum(before.values()) / len(before)
     return Outcome(mean, error)

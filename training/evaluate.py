@@ -1,9 +1,11 @@
 """Measures forecasts on fixed scenes: per scenario and horizon, beside the trivial baselines."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.manifest import MetricRow
@@ -76,6 +78,41 @@ def run(predictor: Predictor, sets: Sequence[EvaluationSet]) -> Mapping[Scenario
     }
 
 
+class Measured(NamedTuple):
+    """What is measured of forecasts at one step, rounded; None where the network has no output."""
+
+    position_error_px: float
+    standard_error_px: float
+    angular_velocity_rmse: float | None
+    perplexity: float | None
+    coverage_50: float | None
+    coverage_95: float | None
+
+
+def measured_at(made: Forecasts, horizons: Iterable[int]) -> dict[int, Measured]:
+    """Measure forecasts at some horizons T: the error is that of step T - 1."""
+    errors = made.errors_px()
+    spin, perplexity = made.angular_velocity_rmse(), made.perplexity()
+    coverage = made.calibration((0.50, 0.95))
+    return {
+        horizon: Measured(
+            *mean_error(errors[:, :, horizon - 1]),
+            None if spin is None else rounded(spin[horizon - 1]),
+            None if perplexity is None else rounded(perplexity[horizon - 1]),
+            None if coverage is None else rounded(coverage[0.50][horizon - 1]),
+            None if coverage is None else rounded(coverage[0.95][horizon - 1]),
+        )
+        for horizon in horizons
+    }
+
+
+def mean_error(errors: Float[np.ndarray, "sequences objects"]) -> tuple[float, float]:
+    """Mean of one step's errors and its standard error; a sequence's balls are not independent."""
+    by_sequence = errors.mean(axis=1)
+    spread = by_sequence.std(ddof=1) / np.sqrt(len(by_sequence))
+    return rounded(by_sequence.mean()), rounded(spread)
+
+
 def metric_rows(
     sets: Sequence[EvaluationSet],
     forecasts: Mapping[Scenario, Forecasts],
@@ -86,29 +123,20 @@ def metric_rows(
     for part in sets:
         horizons = sorted({1, trained_horizon // 2, trained_horizon, part.horizon})
         made = forecasts[part.scenario]
-        errors = made.errors_px()
         truth = made.true_positions
         rest = np.linalg.norm(stays_put(truth) - truth, axis=-1).mean(axis=(0, 1))
         line = np.linalg.norm(part.line - truth, axis=-1).mean(axis=(0, 1))
-        spin, perplexity = made.angular_velocity_rmse(), made.perplexity()
-        coverage = made.calibration((0.50, 0.95))
-        for horizon in horizons:
+        for horizon, measured in measured_at(made, horizons).items():
             step = horizon - 1
-            of_step = errors[:, :, step].mean(axis=1)
             rows.append(
                 MetricRow(
                     split="validation" if part.split == "validation" else "test",
                     scenario=part.scenario,
                     horizon=horizon,
-                    sequences=len(of_step),
-                    position_error_px=_round(of_step.mean()),
-                    standard_error_px=_round(of_step.std(ddof=1) / np.sqrt(len(of_step))),
-                    angular_velocity_rmse=None if spin is None else _round(spin[step]),
-                    perplexity=None if perplexity is None else _round(perplexity[step]),
-                    coverage_50=None if coverage is None else _round(coverage[0.50][step]),
-                    coverage_95=None if coverage is None else _round(coverage[0.95][step]),
-                    stays_put_px=_round(rest[step]),
-                    line_px=_round(line[step]),
+                    sequences=len(truth),
+                    **measured._asdict(),
+                    stays_put_px=rounded(rest[step]),
+                    line_px=rounded(line[step]),
                 )
             )
     return rows
@@ -137,5 +165,6 @@ def _cell(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
 
 
-def _round(value: float) -> float:
+def rounded(value: float) -> float:
+    """Round a figure as the files keep it."""
     return round(float(value), 4)

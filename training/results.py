@@ -15,7 +15,14 @@ from rollcast.manifest import MANIFEST_FILE, Manifest
 from rollcast.scene import Scenario
 from training.artefact import load_exported
 from training.dataset import generated_horizon
-from training.evaluate import EvaluationSet, evaluation_sets, run
+from training.evaluate import (
+    EvaluationSet,
+    evaluation_sets,
+    mean_error,
+    measured_at,
+    rounded,
+    run,
+)
 from training.export import with_covariance
 from training.metrics import Forecasts, stays_put
 from training.paper import published
@@ -161,27 +168,18 @@ def _measure_model(
         test_sequences=len(errors),
         training_sequences=sequences,
     )
-    spin, perplexity = forecasts.angular_velocity_rmse(), forecasts.perplexity()
-    coverage = forecasts.calibration((0.5, 0.95))
     cells: list[Cell] = []
-    for horizon in sorted(h for h in horizons if h <= errors.shape[2]):
-        step, at = horizon - 1, f"T={horizon}"
+    reached = sorted(horizon for horizon in horizons if horizon <= errors.shape[2])
+    for horizon, measured in measured_at(forecasts, reached).items():
+        at = f"T={horizon}"
         paper = published(scenario, manifest.objects, manifest.variant, at)
-        cells.append(
-            replace(
-                _with_error(plain, at, errors[:, :, step]),
-                angular_velocity_rmse=None if spin is None else _round(spin[step]),
-                perplexity=None if perplexity is None else _round(perplexity[step]),
-                coverage_50=None if coverage is None else _round(coverage[0.5][step]),
-                coverage_95=None if coverage is None else _round(coverage[0.95][step]),
-                paper_px=None if paper is None else paper.position_error_px,
-            )
-        )
+        paper_px = None if paper is None else paper.position_error_px
+        cells.append(replace(plain, at=at, **measured._asdict(), paper_px=paper_px))
     worst = int(errors.mean(axis=(0, 1)).argmax())
     cells.append(_with_error(plain, "worst step", errors[:, :, worst]))
     inside = forecasts.calibration(LEVELS)
     trained = manifest.trained_horizon
-    shares = None if inside is None else tuple(_round(inside[k][:trained].mean()) for k in LEVELS)
+    shares = None if inside is None else tuple(rounded(inside[k][:trained].mean()) for k in LEVELS)
     curve = _curve(scenario, manifest.objects, manifest.label, trained, errors)
     return cells, replace(curve, coverage=shares)
 
@@ -209,13 +207,8 @@ def _measure_baselines(part: EvaluationSet, objects: int) -> list[tuple[list[Cel
 
 def _with_error(cell: Cell, at: str, errors: np.ndarray) -> Cell:
     """Fill in a cell from the errors [sequences, objects] of one step."""
-    by_sequence = errors.mean(axis=1)
-    return replace(
-        cell,
-        at=at,
-        position_error_px=_round(by_sequence.mean()),
-        standard_error_px=_round(by_sequence.std(ddof=1) / np.sqrt(len(by_sequence))),
-    )
+    error, spread = mean_error(errors)
+    return replace(cell, at=at, position_error_px=error, standard_error_px=spread)
 
 
 def _curve(
@@ -247,7 +240,3 @@ def disagreements(ours: Results, stored: Results) -> list[str]:
                     f"{name}: {cell.position_error_px} px now, {other.position_error_px} px stored"
                 )
     return found
-
-
-def _round(value: float) -> float:
-    return round(float(value), 4)
