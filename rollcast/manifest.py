@@ -143,8 +143,8 @@ class Manifest(_Part):
     """Data seed and sizes, sequences seen, configuration: free form, for people."""
     metrics: tuple[MetricRow, ...]
     validation_error_px: Annotated[float, Field(ge=0)]
-    """Mean position error at the trained horizon over all scenarios, validation split: "auto"
-    compares this number alone."""
+    """Mean position error over all scenarios, validation split, at T = 20 for one ball and T = 15
+    for several, whatever the trained horizon: "auto" compares this number alone."""
     parity: Parity
     golden_tolerance: dict[OutputName, Positive]
     """Largest absolute difference from golden.npz at which the model is served."""

@@ -1,4 +1,4 @@
-"""``python -m training simulate | calibrate | train | evaluate | export | campaign | report``."""
+"""``python -m training simulate | calibrate | train | evaluate | dissect | export | ...``."""
 
 import argparse
 import os
@@ -9,9 +9,12 @@ from rollcast.manifest import MANIFEST_FILE, Manifest
 from rollcast.scene import SCENARIOS
 from training import calibration, campaign
 from training.artefact import initial_networks, load_exported
+from training.dissect import dissected, dissection_table
 from training.evaluate import evaluation_sets, markdown_table, metric_rows, run
 from training.export import export_run, with_covariance
+from training.models.fieldnet import FieldNet
 from training.models.paper import VggEncoder, load_imagenet
+from training.models.predictor import Predictor
 from training.publish import publish
 from training.recipes import RECIPES
 from training.report import with_results
@@ -92,6 +95,15 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--scenes", type=int, default=500, help="scenes per scenario")
     evaluate.set_defaults(run=_evaluate)
 
+    dissect = commands.add_parser(
+        "dissect",
+        parents=[processes],
+        help="take the validation error of a fieldnet apart: parts of its state from the truth",
+    )
+    dissect.add_argument("model", type=Path, help="models/NAME/VERSION")
+    dissect.add_argument("--scenes", type=int, default=100, help="scenes per scenario")
+    dissect.set_defaults(run=_dissect)
+
     exported = commands.add_parser(
         "export", parents=[processes], help="export a recipe's best networks and prove the exports"
     )
@@ -135,12 +147,12 @@ def _train(arguments: argparse.Namespace) -> None:
     initial = [one for start in arguments.init for one in initial_networks(start)]
     trainer = Trainer(recipe, folder, Pace(simulators=arguments.workers), initial)
     if arguments.imagenet is not None:
-        encoder = next(iter(trainer.family.predictors().values())).encoder
-        if not isinstance(encoder, VggEncoder):
+        network = next(iter(trainer.family.networks().values()))
+        if not (isinstance(network, Predictor) and isinstance(network.encoder, VggEncoder)):
             raise SystemExit(f"--imagenet is for the paper's preset; {recipe.name} has another")
-        print(f"{load_imagenet(encoder, arguments.imagenet)} convolutions from ImageNet")
+        print(f"{load_imagenet(network.encoder, arguments.imagenet)} convolutions from ImageNet")
     error = trainer.run()
-    print(f"best validation error at T={recipe.trained_horizon}: {error:.3f} px, kept in {folder}")
+    print(f"best mean validation error: {error:.3f} px, kept in {folder}")
 
 
 def _evaluate(arguments: argparse.Namespace) -> None:
@@ -161,6 +173,21 @@ def _evaluate(arguments: argparse.Namespace) -> None:
     )
     forecasts = with_covariance(run(predictor, sets), manifest.covariance)
     print(markdown_table(metric_rows(sets, forecasts, manifest.trained_horizon)))
+
+
+def _dissect(arguments: argparse.Namespace) -> None:
+    manifest, network = load_exported(arguments.model)
+    if not isinstance(network, FieldNet):
+        raise SystemExit(
+            f"{manifest.label} is a {manifest.variant}; only a fieldnet's state has parts"
+        )
+    errors = {
+        scenario: dissected(
+            network, Source(scenario, manifest.objects), arguments.scenes, arguments.workers
+        )
+        for scenario in manifest.scenarios
+    }
+    print(dissection_table(errors, manifest.objects))
 
 
 def _export(arguments: argparse.Namespace) -> None:

@@ -8,7 +8,7 @@ import torch
 from onnx import numpy_helper
 
 from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, STEP_FILE, Manifest
-from training.models.predictor import Predictor
+from training.models.predictor import Network
 from training.models.presets import PRESETS
 from training.trainer import BEST, Initial
 
@@ -18,7 +18,8 @@ def read_parameters(folder: Path) -> dict[str, torch.Tensor]:
     parameters: dict[str, torch.Tensor] = {}
     for file in (ENCODER_FILE, STEP_FILE):
         for initialiser in onnx.load(folder / file).graph.initializer:
-            value = np.array(numpy_helper.to_array(initialiser))
+            # Weights that are stored in halves are float32 in the network.
+            value = numpy_helper.to_array(initialiser).astype(np.float32)
             parameters[initialiser.name] = torch.from_numpy(value)
     return parameters
 
@@ -39,7 +40,7 @@ def initial_networks(folder: Path) -> list[Initial]:
     return [Initial(name, weights, best["sequences"]) for name, weights in best["weights"].items()]
 
 
-def load_exported(folder: Path) -> tuple[Manifest, Predictor]:
+def load_exported(folder: Path) -> tuple[Manifest, Network]:
     """Rebuild the torch network of ``models/NAME/VERSION``.
 
     Raises
@@ -55,7 +56,7 @@ def load_exported(folder: Path) -> tuple[Manifest, Predictor]:
         angular_velocity=manifest.angular_velocity,
         interaction=bool(manifest.training.get("interaction", True)),
     )
-    predictor = family.predictors()[manifest.name]
+    predictor = family.networks()[manifest.name]
     stored = read_parameters(folder)
     own = predictor.state_dict()
     missing = sorted(own.keys() - stored.keys())

@@ -47,7 +47,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a finished round gave: validation errors at T_train in pixels."""
+    """What a finished round gave: mean validation errors in pixels."""
 
     error_before_px: float | None
     error_px: float
@@ -124,7 +124,7 @@ def _round(line: Line, number: int, folder: Path, models: Path, sequences: int) 
 
 
 def committed_errors(recipe: Recipe, models: Path) -> Mapping[str, float] | None:
-    """Return the validation errors at T_train of a recipe's models; None when one is missing."""
+    """Return the validation errors of a recipe's models; None when one is missing."""
     folders = [newest(models, member.name) for member in recipe.members]
     if None in folders:
         return None

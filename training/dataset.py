@@ -6,18 +6,19 @@ test take every scene once at its scenario's fixed start (paper, section 3.1, si
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypedDict
+from typing import NamedTuple, NotRequired, TypedDict
 
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from torch.utils.data import IterableDataset
 
-from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
+from rollcast.camera import BOWL_HALF_WIDTH_M, NETWORK_FRAME_SIZE, camera_for
 from rollcast.simulation.recording import TEST_START
 from rollcast.simulation.rendering import Renderer
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.simulate import STORED_FRAMES, Recording
+from training.survey import Survey
 
 MAX_HORIZON = 40
 """Longest forecast that training or evaluation asks of a stored simulation (T_gen)."""
@@ -28,16 +29,39 @@ def generated_horizon(objects: int) -> int:
     return MAX_HORIZON if objects == 1 else 30
 
 
+def compared_horizon(objects: int) -> int:
+    """T_train of the paper: the horizon at which models are compared, whatever theirs is."""
+    return generated_horizon(objects) // 2
+
+
+FRAME_SHAPE = (NETWORK_FRAME_SIZE, NETWORK_FRAME_SIZE, 3)
+
 LAST_START = STORED_FRAMES - FIRST_FORECAST_FRAME - MAX_HORIZON
 """Last frame of a stored simulation at which such a window can begin."""
+
+
+class Scenery(NamedTuple):
+    """What a network with an explicit state learns to read besides.
+
+    Halves of the frame in image axes (x right, y down, z towards the camera).
+    """
+
+    centres: Float[np.ndarray, "objects frames 3"]
+    """Ball centres from the first observed frame to the last step."""
+    ground: Float[np.ndarray, "3 cells cells"]
+    """See :func:`training.ground.resting_ground`."""
+    measures: Float[np.ndarray, "2"]
+    """See :class:`training.models.fieldnet.Ball`."""
 
 
 class Window(NamedTuple):
     """One sequence: the seen frames and the truth of the steps t = 0..T-1 (128-px units, rad/s)."""
 
     frames: UInt8[np.ndarray, "seen 128 128 3"]
+    """Empty where nothing is to be seen."""
     positions: Float[np.ndarray, "objects steps 2"]
     angular_velocities: Float[np.ndarray, "objects steps 3"]
+    scenery: Scenery | None = None
 
 
 class Batch(TypedDict):
@@ -46,6 +70,10 @@ class Batch(TypedDict):
     frames: torch.Tensor
     positions: torch.Tensor
     angular_velocities: torch.Tensor
+    scenery: NotRequired[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]
+    """The fields of :class:`Scenery`."""
+    practice: NotRequired["Batch"]
+    """More windows without frames."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +87,7 @@ class Symmetry:
     mirror: bool
 
     def apply(self, window: Window) -> Window:
-        """Transform frames, positions and angular velocities alike.
+        """Transform frames, positions, angular velocities and scenery alike.
 
         Angular velocity is a pseudo-vector: a mirror in x keeps its x and flips its y and z.
         """
@@ -74,7 +102,23 @@ class Symmetry:
             frames = frames[:, :, ::-1]
             positions = positions * np.array([-1, 1])
             spin = spin * np.array([1, -1, -1])
-        return Window(frames, positions + NETWORK_FRAME_SIZE / 2, spin)
+        scenery = None if window.scenery is None else self._apply_to_scenery(window.scenery)
+        return Window(frames, positions + NETWORK_FRAME_SIZE / 2, spin, scenery)
+
+    def _apply_to_scenery(self, scenery: Scenery) -> Scenery:
+        centres, ground = scenery.centres, np.rot90(scenery.ground, self.quarter_turns, axes=(1, 2))
+        for _ in range(self.quarter_turns):
+            centres = np.stack([centres[..., 1], -centres[..., 0], centres[..., 2]], axis=-1)
+            ground = np.stack([ground[1], -ground[0], ground[2]])
+        if self.mirror:
+            centres = centres * np.array([-1, 1, 1])
+            ground = ground[:, :, ::-1] * np.array([-1, 1, 1])[:, None, None]
+        return Scenery(centres, ground, scenery.measures)
+
+
+def measures(half_width_m: float, radius_m: float) -> Float[np.ndarray, "2"]:
+    """Constants of a scene as :class:`training.models.fieldnet.Ball` counts them."""
+    return np.array([5 * (half_width_m - BOWL_HALF_WIDTH_M), 5 * radius_m])
 
 
 class WindowMaker:
@@ -84,29 +128,58 @@ class WindowMaker:
     ----------
     final_step
         Forecast step that a fifth frame shows; None leaves that frame out.
+    survey
+        Of the recordings; without it every scene is shaded when it is first seen.
+    scenery
+        Whether windows have scenery, which needs a survey.
     """
 
-    def __init__(self, recordings: Sequence[Recording], final_step: int | None) -> None:
+    def __init__(
+        self,
+        recordings: Sequence[Recording],
+        final_step: int | None,
+        survey: Survey | None = None,
+        *,
+        scenery: bool = False,
+    ) -> None:
         self._recordings = recordings
         self._final_step = final_step
+        self._survey = survey
+        self._grounds = survey.ground if scenery and survey is not None else None
         self._renderers: dict[int, Renderer] = {}
 
-    def window(self, index: int, start: int, horizon: int) -> Window:
-        """Window of scene ``index`` whose first seen frame is ``start``."""
+    def window(self, index: int, start: int, horizon: int, *, seen: bool = True) -> Window:
+        """Window of scene ``index`` whose first observed frame is ``start``."""
         scene, trajectory = self._recordings[index].scene, self._recordings[index].trajectory
         camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
-        if index not in self._renderers:
-            self._renderers[index] = Renderer(scene, camera)
-        frames = self._renderers[index].render(trajectory.window(start, OBSERVED_FRAMES))
-        if self._final_step is not None:
-            last = trajectory.window(start + FIRST_FORECAST_FRAME + self._final_step, 1)
-            frames = np.concatenate([frames, self._renderers[index].render(last)])
         steps = trajectory.window(start + FIRST_FORECAST_FRAME, horizon)
         return Window(
-            frames,
+            self._frames(index, start) if seen else np.empty((0, *FRAME_SHAPE), np.uint8),
             camera.project(steps.positions_m).swapaxes(0, 1),
             steps.angular_velocities_rad_s.swapaxes(0, 1),
+            self._scenery(index, start, horizon),
         )
+
+    def _frames(self, index: int, start: int) -> UInt8[np.ndarray, "seen 128 128 3"]:
+        scene, trajectory = self._recordings[index].scene, self._recordings[index].trajectory
+        if index not in self._renderers:
+            camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
+            empty = None if self._survey is None else self._survey.empty[index]
+            self._renderers[index] = Renderer(scene, camera, empty)
+        frames = self._renderers[index].render(trajectory.window(start, OBSERVED_FRAMES))
+        if self._final_step is None:
+            return frames
+        last = trajectory.window(start + FIRST_FORECAST_FRAME + self._final_step, 1)
+        return np.concatenate([frames, self._renderers[index].render(last)])
+
+    def _scenery(self, index: int, start: int, horizon: int) -> Scenery | None:
+        if self._grounds is None:
+            return None
+        scene, trajectory = self._recordings[index].scene, self._recordings[index].trajectory
+        half_width = camera_for(scene.scenario, NETWORK_FRAME_SIZE).half_width_m
+        centres = trajectory.window(start, FIRST_FORECAST_FRAME + horizon).positions_m
+        centres = centres.swapaxes(0, 1) * (np.array([1, -1, 1]) / half_width)
+        return Scenery(centres, self._grounds[index], measures(half_width, scene.radius_m))
 
 
 class TrainingStream(IterableDataset[Batch]):
@@ -120,6 +193,10 @@ class TrainingStream(IterableDataset[Batch]):
         For every group, the last frame at which a window may begin.
     final_step
         Forecast step that a fifth frame shows; None leaves that frame out.
+    surveys
+        One for every group.
+    practice
+        Windows without frames beside every batch; with any, all windows have scenery.
     """
 
     def __init__(
@@ -131,12 +208,18 @@ class TrainingStream(IterableDataset[Batch]):
         batch_size: int,
         seed: int,
         first_batch: int,
+        surveys: Sequence[Survey],
+        practice: int = 0,
     ) -> None:
         if max(latest_starts) > LAST_START:
             raise ValueError(
                 f"latest_start is {max(latest_starts)}; at most {LAST_START} is stored"
             )
-        self._makers = [WindowMaker(group, final_step) for group in groups]
+        self._makers = [
+            WindowMaker(group, final_step, survey, scenery=practice > 0)
+            for group, survey in zip(groups, surveys, strict=True)
+        ]
+        self._practice = practice
         self._sizes = [len(group) for group in groups]
         self._shares = np.asarray(shares) / np.sum(shares)
         self._latest_starts = latest_starts
@@ -154,14 +237,18 @@ class TrainingStream(IterableDataset[Batch]):
             number += stride
 
     def _batch(self, generator: np.random.Generator) -> Batch:
-        return collate([self._draw(generator) for _ in range(self._batch_size)])
+        batch = collate([self._draw(generator, seen=True) for _ in range(self._batch_size)])
+        if self._practice:
+            unseen = [self._draw(generator, seen=False) for _ in range(self._practice)]
+            batch["practice"] = collate(unseen)
+        return batch
 
-    def _draw(self, generator: np.random.Generator) -> Window:
+    def _draw(self, generator: np.random.Generator, *, seen: bool) -> Window:
         group = int(generator.choice(len(self._makers), p=self._shares))
         index = int(generator.integers(self._sizes[group]))
         start = int(generator.integers(self._latest_starts[group] + 1))
         symmetry = Symmetry(int(generator.integers(4)), bool(generator.integers(2)))
-        return symmetry.apply(self._makers[group].window(index, start, MAX_HORIZON))
+        return symmetry.apply(self._makers[group].window(index, start, MAX_HORIZON, seen=seen))
 
 
 def fixed_windows(
@@ -177,10 +264,17 @@ def fixed_windows(
 
 def collate(windows: Sequence[Window]) -> Batch:
     """Stack windows into a batch of tensors."""
-    return Batch(
+    batch = Batch(
         frames=torch.from_numpy(np.stack([window.frames for window in windows])),
-        positions=torch.from_numpy(np.stack([w.positions for w in windows]).astype(np.float32)),
-        angular_velocities=torch.from_numpy(
-            np.stack([w.angular_velocities for w in windows]).astype(np.float32)
-        ),
+        positions=_float32([window.positions for window in windows]),
+        angular_velocities=_float32([window.angular_velocities for window in windows]),
     )
+    sceneries = [window.scenery for window in windows if window.scenery is not None]
+    if sceneries:
+        centres, grounds, scales = zip(*sceneries, strict=True)
+        batch["scenery"] = (_float32(centres), _float32(grounds), _float32(scales))
+    return batch
+
+
+def _float32(arrays: Sequence[np.ndarray]) -> torch.Tensor:
+    return torch.from_numpy(np.stack(arrays).astype(np.float32))

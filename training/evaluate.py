@@ -13,7 +13,7 @@ from rollcast.scene import Scenario
 from rollcast.simulation.recording import TEST_START
 from training.dataset import Window, fixed_windows, generated_horizon
 from training.metrics import Forecasts, forecast, line_through_ten, stays_put
-from training.models.predictor import Family, Predictor
+from training.models.predictor import Family, Network
 from training.simulate import Recording, Source, load_recordings, simulate_split
 from training.splits import Split
 
@@ -69,7 +69,7 @@ def _first_positions(recording: Recording) -> np.ndarray:
     return camera_for(scenario, NETWORK_FRAME_SIZE).project(seen.positions_m).swapaxes(0, 1)
 
 
-def run(predictor: Predictor, sets: Sequence[EvaluationSet]) -> Mapping[Scenario, Forecasts]:
+def run(predictor: Network, sets: Sequence[EvaluationSet]) -> Mapping[Scenario, Forecasts]:
     """Forecast every set up to T_gen."""
     device = next(predictor.parameters()).device
     alone = Family({"it": predictor})
@@ -121,7 +121,8 @@ def metric_rows(
     """Make the rows of a model's table, one a scenario and reported horizon."""
     rows: list[MetricRow] = []
     for part in sets:
-        horizons = sorted({1, trained_horizon // 2, trained_horizon, part.horizon})
+        longest = part.horizon
+        horizons = sorted({1, longest // 4, longest // 2, longest, trained_horizon})
         made = forecasts[part.scenario]
         truth = made.true_positions
         rest = np.linalg.norm(stays_put(truth) - truth, axis=-1).mean(axis=(0, 1))

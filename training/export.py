@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import onnx
 import torch
+from onnx import numpy_helper
 from torch import Tensor
 
 from rollcast.camera import NETWORK_FRAME_SIZE
@@ -36,10 +37,11 @@ from rollcast.manifest import (
 from rollcast.scene import Scenario
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 from training.card import LICENCE, model_card
-from training.dataset import Window, collate
+from training.dataset import Window, collate, compared_horizon
 from training.evaluate import EvaluationSet, evaluation_sets, metric_rows, run
 from training.metrics import Forecasts
-from training.models.predictor import Head, Observation, Predictor, State
+from training.models.fieldnet import FieldNet
+from training.models.predictor import Network, Observation, State
 from training.recipes import Recipe
 from training.settings import keep_runtime_silent
 from training.trainer import BEST
@@ -60,24 +62,35 @@ UNITS: Mapping[OutputName, str] = {
     "final_positions": "px",
 }
 GOLDEN_SEQUENCES = 2
+_OWN_PREFIX = "network."
+_SMALLEST_HALVED = 4096
+"""Parameters of a tensor for which storing halves is worth a node."""
 
 
-class EncoderGraph(Predictor):
-    """The encoder's graph. A predictor with another forward keeps its parameters' names."""
+class EncoderGraph(torch.nn.Module):
+    """The encoder's graph."""
 
-    def forward(self, frames: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def __init__(self, network: Network) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, frames: Tensor) -> tuple[Tensor, ...]:
         """Frames to the state and the first observation, as positional tensors."""
-        state = self.start(frames)
-        return *state, *_present(self.observe_first(state))
+        state = self.network.start(frames)
+        return *state, *_present(self.network.observe_first(state))
 
 
-class StepGraph(Predictor):
+class StepGraph(torch.nn.Module):
     """The step's graph."""
 
-    def forward(self, s: Tensor, p: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def __init__(self, network: Network) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, s: Tensor, p: Tensor) -> tuple[Tensor, ...]:
         """State to the next state and its observation, as positional tensors."""
-        state = self.advance(State(s, p))
-        return *state, *_present(self.observe(state))
+        state = self.network.advance(State(s, p))
+        return *state, *_present(self.network.observe(state))
 
 
 @dataclass(frozen=True)
@@ -86,7 +99,7 @@ class Trained:
 
     recipe: Recipe
     name: str
-    predictor: Predictor
+    predictor: Network
     sequences: int
     """Training sequences that its weights have seen."""
 
@@ -108,7 +121,7 @@ def export_run(
     validation = evaluation_sets(*kind, "validation", recipe.validation_scenes, workers)
     test = evaluation_sets(*kind, "test", test_scenes, workers)
     manifests: list[Manifest] = []
-    for name, predictor in recipe.build().predictors().items():
+    for name, predictor in recipe.build().networks().items():
         predictor.load_state_dict(best["weights"][name])
         trained = Trained(recipe, name, predictor, best["sequences"])
         to = models / name / str(version)
@@ -137,6 +150,8 @@ def export(
     """
     folder.mkdir(parents=True, exist_ok=True)
     predictor = trained.predictor.cpu().eval()
+    if isinstance(predictor, FieldNet):
+        round_to_halves(predictor.eye)
     sample = collate(_spread(validation, GOLDEN_SEQUENCES))["frames"]
     _write_graphs(predictor, sample, folder)
     horizon = trained.recipe.trained_horizon
@@ -151,7 +166,7 @@ def export(
     chosen = [
         row.position_error_px
         for row in rows
-        if row.split == "validation" and row.horizon == horizon
+        if row.split == "validation" and row.horizon == compared_horizon(trained.recipe.objects)
     ]
     observation = _observation_of(predictor, sample)
     card = model_card(trained.recipe, trained.name, version, trained.sequences, rows, covariance)
@@ -201,10 +216,11 @@ def export(
 
 
 def _present(observation: Observation) -> tuple[Tensor, ...]:
-    return tuple(part for part in observation if part is not None)
+    outputs = observation._replace(reading=None)
+    return tuple(part for part in outputs if isinstance(part, Tensor))
 
 
-def _observation_of(predictor: Predictor, frames: Tensor) -> dict[OutputName, Tensor]:
+def _observation_of(predictor: Network, frames: Tensor) -> dict[OutputName, Tensor]:
     """First observation by output name, without what the network does not have."""
     with torch.inference_mode():
         observation = predictor.observe_first(predictor.start(frames))
@@ -227,19 +243,17 @@ def _spread(sets: Sequence[EvaluationSet], windows: int) -> list[Window]:
     return [sets[k % len(sets)].windows[k // len(sets)] for k in range(windows)]
 
 
-def _write_graphs(predictor: Predictor, frames: Tensor, folder: Path) -> None:
-    head = Head(predictor.motion, predictor.output, predictor.final)
-    parts = (predictor.encoder, predictor.transition, head, predictor.spin)
+def _write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
     outputs = list(_observation_of(predictor, frames))
     batch = torch.export.Dim("batch", min=1, max=4096)
     with torch.inference_mode():
         state = predictor.start(frames)
     _write_graph(
-        EncoderGraph(*parts), (frames,), [FRAMES_INPUT], [*STATE_NAMES, *outputs],
+        EncoderGraph(predictor), (frames,), [FRAMES_INPUT], [*STATE_NAMES, *outputs],
         {"frames": {0: batch}}, folder / ENCODER_FILE,
     )  # fmt: skip
     _write_graph(
-        StepGraph(*parts), tuple(state), list(STATE_NAMES),
+        StepGraph(predictor), tuple(state), list(STATE_NAMES),
         [*(NEXT_PREFIX + name for name in STATE_NAMES), *_of_a_step(outputs)],
         {name: {0: batch} for name in STATE_NAMES}, folder / STEP_FILE,
     )  # fmt: skip
@@ -264,10 +278,50 @@ def _write_graph(
             module.eval(), arguments, path, input_names=inputs, output_names=outputs,
             dynamic_shapes=dynamic, dynamo=True, external_data=False, verbose=False,
         )  # fmt: skip
-    onnx.checker.check_model(onnx.load(path))
+    model = onnx.load(path)
+    for initialiser in model.graph.initializer:
+        _rename(model.graph, initialiser.name, initialiser.name.removeprefix(_OWN_PREFIX))
+        initialiser.name = initialiser.name.removeprefix(_OWN_PREFIX)
+    _store_in_halves(model.graph)
+    onnx.checker.check_model(model)
+    onnx.save(model, path)
 
 
-def _write_golden(predictor: Predictor, frames: Tensor, horizon: int, folder: Path) -> None:
+def _rename(graph: onnx.GraphProto, old: str, new: str) -> None:
+    """Let every node read ``new`` where it read ``old``."""
+    for node in graph.node:
+        for place, name in enumerate(node.input):
+            if name == old:
+                node.input[place] = new
+
+
+def _store_in_halves(graph: onnx.GraphProto) -> None:
+    """Store the weights that float16 holds exactly as such, cast back before their use.
+
+    ONNX Runtime casts them once, when it loads the graph.
+    """
+    for initialiser in graph.initializer:
+        value = numpy_helper.to_array(initialiser)
+        if value.dtype != np.float32 or value.size < _SMALLEST_HALVED:
+            continue
+        half = value.astype(np.float16)
+        if not np.array_equal(half, value):
+            continue
+        name = initialiser.name
+        _rename(graph, name, f"{name}/float32")
+        initialiser.CopyFrom(numpy_helper.from_array(half, name))
+        cast = onnx.helper.make_node("Cast", [name], [f"{name}/float32"], to=onnx.TensorProto.FLOAT)
+        graph.node.insert(0, cast)
+
+
+def round_to_halves(module: torch.nn.Module) -> None:
+    """Round large parameters to float16: nothing to weights that learned in bfloat16."""
+    for parameter in module.parameters():
+        if parameter.numel() >= _SMALLEST_HALVED:
+            parameter.data = parameter.data.half().float()
+
+
+def _write_golden(predictor: Network, frames: Tensor, horizon: int, folder: Path) -> None:
     with torch.inference_mode():
         rollout = predictor(frames, horizon)
     values = zip(_observation_of(predictor, frames), _present(rollout), strict=True)
@@ -276,7 +330,7 @@ def _write_golden(predictor: Predictor, frames: Tensor, horizon: int, folder: Pa
 
 
 def measure_parity(
-    predictor: Predictor, folder: Path, windows: Sequence[Window], horizons: Sequence[int]
+    predictor: Network, folder: Path, windows: Sequence[Window], horizons: Sequence[int]
 ) -> Parity:
     """Compare torch with ONNX Runtime at batch sizes 1 and ``len(windows)`` and some horizons.
 

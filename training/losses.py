@@ -10,7 +10,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from training.models.predictor import ANGULAR_VELOCITY_UNIT, Observation
+from training.models.blocks import PIXEL_UNIT
+from training.models.predictor import ANGULAR_VELOCITY_UNIT, Observation, Reading
 
 
 class Loss(Protocol):
@@ -124,6 +125,79 @@ class SpinLoss:
         scale = 1 + truth.norm(dim=-1) / ANGULAR_VELOCITY_UNIT
         error = smooth_distance(forecast.angular_velocities - truth, self._rounding) / scale
         return self._weight * (weights * error).mean()
+
+
+class DoubtLoss:
+    """Distances for the positions, likelihood for the covariances alone.
+
+    The likelihood takes the positions as they are, so uncertainty costs them nothing.
+    """
+
+    def __init__(self, positions: Loss, likelihood: Loss, weight: float) -> None:
+        self._positions = positions
+        self._likelihood = likelihood
+        self._weight = weight
+
+    def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
+        """Loss of a forecast in pixels, and nats times the weight."""
+        settled = forecast._replace(positions=forecast.positions.detach())
+        doubt = self._weight * self._likelihood(settled, positions_BNT2)
+        return self._positions(forecast, positions_BNT2) + doubt
+
+
+class ReadingLoss:
+    """What an eye read of the frames against the truth: pixels, weighed by what forecasts need.
+
+    Closer looks weigh more than the first, velocities most: their errors grow with every step.
+    """
+
+    looks = (0.3, 0.5, 1.5)
+    height = 0.5
+    velocity = 3.0
+    ground = 15.0
+    measures = 2.0
+    rounding = 0.1
+
+    def __call__(self, reading: Reading, scenery: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+        """Loss of a reading against the fields of :class:`training.dataset.Scenery`."""
+        centres, ground, measures = scenery
+        frames = reading.seen_positions[0].shape[2]
+        seen, now = centres[:, :, :frames, :2], centres[:, :, frames - 1]
+        before = centres[:, :, frames - 2]
+        off = reading.centres - now
+        loss = self._pixels(off[..., :2]) + self.height * PIXEL_UNIT * off[..., 2].abs().mean()
+        for weight, positions in zip(self.looks, reading.seen_positions, strict=True):
+            loss = loss + weight * self._pixels(positions - seen)
+        loss = loss + self.velocity * self._pixels(reading.velocities - (now - before))
+        known = ~ground.isnan()
+        unlike = torch.where(known, reading.ground - ground.nan_to_num(), 0.0).abs()
+        loss = loss + self.ground * unlike.sum(dim=1).mean()
+        return loss + self.measures * (reading.measures - measures).abs().mean()
+
+    def _pixels(self, difference: Tensor) -> Tensor:
+        return smooth_distance(PIXEL_UNIT * difference, self.rounding).mean()
+
+
+class MotionLoss:
+    """Balls moved from their true states: centres in pixels, and how they move.
+
+    Parameters
+    ----------
+    halving
+        Step at which the weight is half of the first's.
+    """
+
+    rounding = 0.1
+
+    def __init__(self, halving: float) -> None:
+        self._halving = halving
+
+    def __call__(self, centres_BNT3: Tensor, truth_BNT3: Tensor) -> Tensor:
+        """Loss of rolled-out centres, halves of the frame."""
+        weights = step_weights(truth_BNT3.shape[2], self._halving).to(truth_BNT3.device)
+        off = PIXEL_UNIT * (centres_BNT3 - truth_BNT3)
+        moved = (off[:, :, 1:] - off[:, :, :-1]).norm(dim=-1)
+        return (weights * smooth_distance(off, self.rounding)).mean() + moved.mean()
 
 
 def final_loss(forecast: Observation, final_positions_BN2: Tensor) -> Tensor:

@@ -65,7 +65,7 @@ def forecast(
 ) -> Mapping[str, Forecasts]:
     """Run networks over windows, in float32 and in batches; return every member's forecasts."""
     family.eval()
-    observed: dict[str, list[Observation]] = {name: [] for name in family.predictors()}
+    observed: dict[str, list[Observation]] = {name: [] for name in family.networks()}
     batch_size = 50
     with torch.inference_mode():
         for first in range(0, len(windows), batch_size):

@@ -9,7 +9,16 @@ from typing import Any, Literal
 import torch
 
 from rollcast.scene import SMALL_RADIUS_M, Scenario
-from training.losses import DistanceLoss, LikelihoodLoss, Loss, SpinLoss, SquaredLoss
+from training.losses import (
+    DistanceLoss,
+    DoubtLoss,
+    LikelihoodLoss,
+    Loss,
+    MotionLoss,
+    ReadingLoss,
+    SpinLoss,
+    SquaredLoss,
+)
 from training.models.predictor import Family
 from training.models.presets import PRESETS
 from training.schedules import Cosine, Plateau, Schedule
@@ -65,6 +74,29 @@ class Member:
 
 
 @dataclass(frozen=True)
+class Explicit:
+    """What trains a network with an explicit state besides its forecasts.
+
+    Attributes
+    ----------
+    reading
+        Loss of what the eye reads of the frames.
+    motion
+        Loss of balls that are moved from their true states over the true ground, so that motion is
+        learned while the eye cannot see yet.
+    practice
+        Such windows beside every batch; they cost no rendering.
+    curriculum
+        Horizons of the practice.
+    """
+
+    reading: ReadingLoss
+    motion: MotionLoss
+    practice: int
+    curriculum: tuple[Milestone, ...]
+
+
+@dataclass(frozen=True)
 class Recipe:
     """Everything that determines a training run.
 
@@ -105,6 +137,8 @@ class Recipe:
     angular_velocity: bool = True
     interaction: bool = True
     """Whether several balls know of each other."""
+    explicit: Explicit | None = None
+    """For networks with an explicit state."""
 
     def build(self) -> Family:
         """Make the untrained networks."""
@@ -142,6 +176,16 @@ ONE_BALL_DATA = (
 
 Ellipsoids, of which the hemisphere is one, and heightfields are furthest from their aim.
 """
+
+
+FIELD_DATA = (
+    DataShare(Source("hemisphere"), 2000, 0.16, 200),
+    DataShare(Source("ellipsoid"), 4000, 0.38, 200),
+    DataShare(Source("heightfield"), 3000, 0.42, 140),
+    DataShare(Source("hemisphere", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
+    DataShare(Source("ellipsoid", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
+)
+"""The same with more scenes: what limits an explicit state is the eye."""
 
 
 def one_ball() -> Recipe:
@@ -221,6 +265,40 @@ def several_balls_between(objects: int) -> Recipe:
     )
 
 
+def field_one_ball() -> Recipe:
+    """FieldNet for one ball in all scenarios, from nothing: eye and motion first, then both."""
+    return replace(
+        one_ball(),
+        name="field-one-ball",
+        preset="field",
+        members=(_explicit(suffix=""),),
+        data=FIELD_DATA,
+        sequences=320_000,
+        curriculum=(Milestone(0.3, 1), Milestone(0.5, 20), Milestone(0.7, 20), Milestone(0.9, 40)),
+        explicit=Explicit(
+            ReadingLoss(),
+            MotionLoss(halving=8),
+            practice=128,
+            curriculum=(Milestone(0, 2), Milestone(0.3, 20)),
+        ),
+        learning_rate=1.5e-3,
+    )
+
+
+def field_one_ball_continued() -> Recipe:
+    """Train the same from weights that already forecast (``--init``)."""
+    return replace(
+        field_one_ball(),
+        name="field-one-ball-continued",
+        curriculum=(Milestone(0, 2), Milestone(0.1, 20), Milestone(0.5, 20), Milestone(0.7, 40)),
+        explicit=Explicit(
+            ReadingLoss(), MotionLoss(halving=8), practice=64, curriculum=(Milestone(0, 20),)
+        ),
+        sequences=208_000,
+        learning_rate=1e-3,
+    )
+
+
 def paper_posnet() -> Recipe:
     """PosNet as published, on ellipsoidal bowls; give it ImageNet's weights (``--imagenet``)."""
     return replace(
@@ -250,6 +328,12 @@ def _extrapolating(suffix: str) -> tuple[Member, ...]:
     )
 
 
+def _explicit(suffix: str) -> Member:
+    """Return the network with an explicit state, which also says how sure it is."""
+    loss = DoubtLoss(DistanceLoss(halving=8, rounding=0.1), LikelihoodLoss(halving=8), weight=0.2)
+    return Member(f"fieldnet{suffix}", "fieldnet", loss)
+
+
 def _interpolating(suffix: str) -> Member:
     """Return the network that sees the final frame too; its hardest steps are in the middle."""
     return Member(f"interpnet{suffix}", "interpnet", DistanceLoss(halving=40))
@@ -264,5 +348,7 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "3-balls": partial(several_balls, 3),
     "2-balls-between": partial(several_balls_between, 2),
     "3-balls-between": partial(several_balls_between, 3),
+    "field-one-ball": field_one_ball,
+    "field-one-ball-continued": field_one_ball_continued,
     "paper-posnet": paper_posnet,
 }

@@ -14,12 +14,15 @@ from torch.utils.data import DataLoader
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from training.dataset import Batch, TrainingStream, Window, fixed_windows
+from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+from training.dataset import Batch, TrainingStream, Window, compared_horizon, fixed_windows
 from training.losses import final_loss
 from training.metrics import forecast
-from training.models.predictor import Family, Observation, Predictor, in_float32
-from training.recipes import Milestone, Recipe
+from training.models.fieldnet import FieldNet
+from training.models.predictor import Family, Network, Observation, in_float32
+from training.recipes import Explicit, Milestone, Recipe
 from training.simulate import Source, load_recordings, simulate_split
+from training.survey import survey
 
 CHECKPOINT = "checkpoint.pt"
 BEST = "best.pt"
@@ -75,7 +78,7 @@ class Trainer:
         self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         self.family = recipe.build()
         for trained in reversed(initial):
-            members = self.family.predictors()
+            members = self.family.networks()
             for name in [trained.name] if trained.name in members else members:
                 load_fitting(members[name], trained.parameters)
         self._earlier_sequences = initial[0].sequences if initial else 0
@@ -129,20 +132,20 @@ class Trainer:
 
     def _stream(self) -> Iterator[Batch]:
         recipe = self.recipe
-        groups = [
-            load_recordings(
-                simulate_split(part.source, "training", part.scenes, self._pace.simulators)
-            )
-            for part in recipe.data
+        simulators, explicit = self._pace.simulators, recipe.explicit
+        shards = [
+            simulate_split(part.source, "training", part.scenes, simulators) for part in recipe.data
         ]
         stream = TrainingStream(
-            groups,
+            [load_recordings(of_source) for of_source in shards],
             [part.share for part in recipe.data],
             [part.latest_start for part in recipe.data],
             recipe.final_step,
             recipe.batch_size,
             recipe.seed,
             first_batch=self.batches,
+            surveys=[survey(of_source, simulators) for of_source in shards],
+            practice=explicit.practice if explicit else 0,
         )
         loader = DataLoader(
             stream,
@@ -174,6 +177,9 @@ class Trainer:
             if recipe.final_step is not None:
                 final = batch["positions"][:, :, recipe.final_step].to(self.device)
                 loss = loss + member.weight * final_loss(made, final)
+            if recipe.explicit is not None:
+                network = self.family.networks()[member.name]
+                loss = loss + self._explicit_loss(recipe.explicit, network, made, batch, spent)
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
         self._clip_gradients()
@@ -183,6 +189,31 @@ class Trainer:
         value = float(loss.detach())
         self._schedule.observe(value, recipe.batch_size)
         return value
+
+    def _explicit_loss(
+        self, explicit: Explicit, network: Network, made: Observation, batch: Batch, spent: float
+    ) -> torch.Tensor:
+        """Loss of what an eye read, and of motion from true states."""
+        assert isinstance(network, FieldNet)
+        assert made.reading is not None
+        loss = explicit.reading(made.reading, self._scenery(batch))
+        assert "practice" in batch
+        practice = batch["practice"]
+        centres, ground, measures = self._scenery(practice)
+        horizon = horizon_at(explicit.curriculum, spent)
+        spins = practice["angular_velocities"][:, :, :horizon].to(self.device)
+        observed = centres[:, :, :OBSERVED_FRAMES]
+        moved, turned = network.practise(
+            observed, spins[:, :, 0], (ground.nan_to_num(), measures), horizon
+        )
+        truth = centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
+        turning = Observation(moved[..., :2], None, turned)
+        return loss + explicit.motion(moved, truth) + self.recipe.spin_loss(turning, spins)
+
+    def _scenery(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        assert "scenery" in batch
+        centres, ground, measures = batch["scenery"]
+        return centres.to(self.device), ground.to(self.device), measures.to(self.device)
 
     def _clip_gradients(self) -> None:
         """Cut the gradient to a multiple of its usual length, a running mean of what was let in."""
@@ -202,19 +233,20 @@ class Trainer:
         return {name: in_float32(observation) for name, observation in observed.items()}
 
     def _validate(self, windows: dict[Source, list[Window]], events: SummaryWriter) -> None:
-        """Measure the averaged weights at T_train and keep them when their mean is the best."""
+        """Measure the averaged weights and keep them when their mean error is the best."""
         horizon = self.recipe.trained_horizon
+        compared = min(compared_horizon(self.recipe.objects), horizon)
         averaged = self.averaged()
         errors: list[float] = []
         for source, source_windows in windows.items():
             for name, forecasts in forecast(averaged, source_windows, horizon, self.device).items():
                 by_step = forecasts.errors_px().mean(axis=(0, 1))
-                errors.append(float(by_step[-1]))
+                errors.append(float(by_step[compared - 1]))
                 for step in sorted({1, horizon // 2, horizon}):
                     tag = f"{name}/{source.name}/T={step}"
                     events.add_scalar(tag, by_step[step - 1], self.sequences)
         error = sum(errors) / len(errors)
-        events.add_scalar(f"validation/T={horizon}", error, self.sequences)
+        events.add_scalar(f"validation/T={compared}", error, self.sequences)
         if error < self._best_error:
             self._best_error = error
             _save(self.folder / BEST, self._weights())
@@ -228,7 +260,7 @@ class Trainer:
     def _weights(self) -> dict[str, Any]:
         return {
             "weights": {
-                name: member.state_dict() for name, member in self.averaged().predictors().items()
+                name: member.state_dict() for name, member in self.averaged().networks().items()
             },
             "sequences": self._earlier_sequences + self.sequences,
             "validation_error_px": self._best_error,
@@ -298,7 +330,7 @@ def shared_factor(spent: float, heads_alone: float) -> float:
     return min(max((spent - heads_alone) / SHARED_WARM_UP, 0.0), 1.0) if heads_alone else 1.0
 
 
-def load_fitting(predictor: Predictor, initial: dict[str, torch.Tensor]) -> list[str]:
+def load_fitting(network: Network, initial: dict[str, torch.Tensor]) -> list[str]:
     """Copy the parameters whose names and shapes fit; return the names that were taken over.
 
     A network that sees a final frame, several balls or their interaction has wider convolutions
@@ -310,14 +342,14 @@ def load_fitting(predictor: Predictor, initial: dict[str, torch.Tensor]) -> list
     ValueError
         When none fits.
     """
-    own = predictor.state_dict()
+    own = network.state_dict()
     fitting = {
         name: widened for name, value in initial.items()
         if name in own and (widened := _widened(name, value, own[name].shape)) is not None
     }  # fmt: skip
     if not fitting:
         raise ValueError("the initial parameters share no name and shape with the network")
-    predictor.load_state_dict(own | fitting)
+    network.load_state_dict(own | fitting)
     return sorted(fitting)
 
 

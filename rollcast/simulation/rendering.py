@@ -56,6 +56,10 @@ _BOWL_LIGHTING = {
 }
 
 
+_Box = tuple[slice, slice]
+"""Rows and columns of an image."""
+
+
 class Renderer:
     """Renders frames of one scene through one camera.
 
@@ -63,13 +67,23 @@ class Renderer:
     ----------
     scene, camera
         What is seen, and from where.
+    empty
+        The scene without balls, when an earlier renderer's :attr:`empty` is at hand: shading it is
+        most of the work. Edges of balls and shadows may then be off by one level.
     """
 
-    def __init__(self, scene: Scene, camera: Camera) -> None:
+    def __init__(
+        self, scene: Scene, camera: Camera, empty: UInt8[np.ndarray, "size size 3"] | None = None
+    ) -> None:
         self._scene = scene
         self._camera = camera
         self._surface = surface_of(scene)
-        self._background = self._make_background()
+        if empty is None:
+            self._background = self._make_background()
+            empty = _levels(self._background)
+        else:
+            self._background = empty.astype(np.float32) / 255
+        self.empty = empty
         x, y = camera.pixel_centres_m()
         height = self._surface.height_and_normal(x, y)[0]
         self._heights = np.where(np.isnan(height), -np.inf, height).astype(np.float32)
@@ -88,13 +102,18 @@ class Renderer:
 
     def _frame(self, positions: np.ndarray, orientations: np.ndarray) -> np.ndarray:
         image = self._background.copy()
+        touched: list[_Box] = []
         if self._scene.light_position_m is not None:
-            for position in positions:
-                self._cast_shadow(image, position)
+            touched += [self._cast_shadow(image, position) for position in positions]
         # From low to high: with an orthographic camera above, the higher ball hides the lower.
-        for index in np.argsort(positions[:, 2]):
+        touched += [
             self._compose_ball(image, int(index), positions[index], orientations[index])
-        return np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)
+            for index in np.argsort(positions[:, 2])
+        ]
+        frame = self.empty.copy()
+        for box in touched:
+            frame[box] = _levels(image[box])
+        return frame
 
     def _make_background(self) -> Float[np.ndarray, "size size 3"]:
         size = self._camera.image_size
@@ -147,10 +166,10 @@ class Renderer:
         visible = _smooth_step((clearance + 1) / 2)
         return visible.repeat(_SUPERSAMPLES, axis=0).repeat(_SUPERSAMPLES, axis=1)
 
-    def _cast_shadow(self, image: np.ndarray, centre: np.ndarray) -> None:
+    def _cast_shadow(self, image: np.ndarray, centre: np.ndarray) -> _Box:
         """Darken the ground where a ball stands between it and the area light."""
-        rows, columns = self._shadow_box(centre)
-        points = self._ground_points[rows, columns]
+        box = self._shadow_box(centre)
+        points = self._ground_points[box]
         towards = np.asarray(self._scene.light_position_m) - points
         to_ball = centre - points
         along = np.sum(towards * to_ball, axis=-1) / np.sum(towards**2, axis=-1)
@@ -158,11 +177,12 @@ class Renderer:
         penumbra = 0.5 * _LIGHT_SIDE_M * np.clip(along, 0.02, 1)
         visible = _smooth_step(((passing - self._scene.radius_m) / penumbra + 1) / 2)
         visible = np.where(along > 0, visible, 1.0)[..., None]
-        patch = image[rows, columns]
+        patch = image[box]
         ambient = np.minimum(patch, _AMBIENT_ON_HEIGHTFIELD * _GROUND_COLOR)
         patch[:] = ambient + (patch - ambient) * visible
+        return box
 
-    def _shadow_box(self, centre: np.ndarray) -> tuple[slice, slice]:
+    def _shadow_box(self, centre: np.ndarray) -> _Box:
         """Pixels that a ball's shadow can reach: from the ball to where it meets lowest ground."""
         light = np.asarray(self._scene.light_position_m)
         lowest = self._ground_points[..., 2].min()
@@ -179,7 +199,7 @@ class Renderer:
 
     def _compose_ball(
         self, image: np.ndarray, index: int, centre: np.ndarray, orientation: np.ndarray
-    ) -> None:
+    ) -> _Box:
         radius = self._scene.radius_m
         scale = self._camera.pixels_per_metre
         column, row = self._camera.project(centre)
@@ -194,11 +214,12 @@ class Renderer:
         shrink = np.minimum(1, 1 / np.maximum(distance, 1e-9))
         x, y = x * shrink, y * shrink
         normals = np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1)
-        patch = image[top:bottom, left:right]
-        hidden = centre[2] + radius * normals[..., 2] < self._heights[top:bottom, left:right]
+        box = slice(top, bottom), slice(left, right)
+        hidden = centre[2] + radius * normals[..., 2] < self._heights[box]
         coverage = np.where(hidden, 0, coverage)[..., None]
         color = self._ball_color(index, normals, centre, orientation)
-        patch += coverage * (color - patch)
+        image[box] += coverage * (color - image[box])
+        return box
 
     def _ball_color(
         self, index: int, normals: np.ndarray, centre: np.ndarray, orientation: np.ndarray
@@ -244,6 +265,11 @@ def _rotation(quaternion_xyzw: np.ndarray) -> np.ndarray:
             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
+
+
+def _levels(image: np.ndarray) -> np.ndarray:
+    """Intensities 0..1 as the nearest of 256 levels."""
+    return np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)
 
 
 def _smooth_step(t: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Export of an untrained network: what is proved does not depend on how good it is."""
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 import torch
@@ -10,16 +11,21 @@ from tests.training.conftest import tiny
 from training.artefact import load_exported, read_initial, read_parameters
 from training.evaluate import evaluation_sets
 from training.export import Trained, export, measure_parity
-from training.recipes import one_ball, one_ball_between
+from training.recipes import field_one_ball, one_ball, one_ball_between
 from training.trainer import load_fitting
 
 
-@pytest.fixture(scope="module", params=["posnet", "probnet", "interpnet"])
+@pytest.fixture(scope="module", params=["posnet", "probnet", "interpnet", "fieldnet"])
 def exported(request, runs, tmp_path_factory):
     name = request.param
-    recipe = tiny(one_ball_between() if name == "interpnet" else one_ball())
+    recipes = {"interpnet": one_ball_between, "fieldnet": field_one_ball}
+    recipe = tiny(recipes.get(name, one_ball)())
     torch.manual_seed(5)
-    predictor = recipe.build().predictors()[name]
+    predictor = recipe.build().networks()[name]
+    with torch.no_grad():
+        # The exporter folds parameters away that are still zero.
+        for parameter in predictor.parameters():
+            parameter.add_(0.003 * torch.randn(parameter.shape))
     sets = evaluation_sets(
         recipe.scenarios, 1, recipe.final_step, "validation", recipe.validation_scenes, 1
     )
@@ -37,16 +43,17 @@ def test_manifest_reads_back_and_names_every_file(exported):
         manifest.parity.max_abs_error[output] <= tolerance
         for output, tolerance in manifest.parity.tolerance.items()
     )
-    assert manifest.covariance.source == ("predicted" if name == "probnet" else "empirical")
+    predicted = name in ("probnet", "fieldnet")
+    assert manifest.covariance.source == ("predicted" if predicted else "empirical")
 
 
 def test_a_network_that_differs_from_its_export_is_found_out(exported):
     recipe, name, predictor, folder, sets = exported
-    other = recipe.build().predictors()[name]
+    other = recipe.build().networks()[name]
     other.load_state_dict(predictor.state_dict())
     with torch.no_grad():
-        next(other.transition.parameters()).add_(0.05)
-        next(other.encoder.parameters()).add_(0.05)
+        for parameter in other.parameters():
+            parameter.add_(0.05)
     with pytest.raises(ValueError, match="differ by"):
         measure_parity(other.eval(), folder, sets[0].windows[:2], horizons=(4,))
 
@@ -56,11 +63,20 @@ def test_parameters_come_back_from_the_graphs(exported):
     stored = read_parameters(folder)
     for parameter, value in predictor.state_dict().items():
         torch.testing.assert_close(stored[parameter], value, rtol=0, atol=0)
-    fresh = recipe.build().predictors()[name]
+    fresh = recipe.build().networks()[name]
     assert set(load_fitting(fresh, stored)) == set(predictor.state_dict())
     assert read_initial(folder).sequences == 0
     _, rebuilt = load_exported(folder)
     torch.testing.assert_close(rebuilt.state_dict(), predictor.state_dict(), rtol=0, atol=0)
+
+
+def test_an_eye_is_stored_in_halves(exported):
+    _, name, predictor, folder, _ = exported
+    stored = {one.name: one for one in onnx.load(folder / ENCODER_FILE).graph.initializer}
+    large = max(predictor.state_dict().items(), key=lambda item: item[1].numel())[0]
+    halved = name == "fieldnet"
+    expected = onnx.TensorProto.FLOAT16 if halved else onnx.TensorProto.FLOAT
+    assert stored[large].data_type == expected
 
 
 def test_any_batch_size_runs(exported):

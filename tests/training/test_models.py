@@ -8,9 +8,9 @@ from training.models.compact import HEADS, compact_family
 from training.models.predictor import (
     LARGEST_VARIANCE_PX2,
     SMALLEST_VARIANCE_PX2,
-    Family,
     GaussianOutput,
     Predictor,
+    SharedStateFamily,
     logit_of_variance,
 )
 
@@ -18,7 +18,7 @@ from training.models.predictor import (
 def compact(variant: str, objects: int = 1, *, angular_velocity: bool = True) -> Predictor:
     frames = 5 if variant == "interpnet" else 4
     family = compact_family({"it": variant}, frames, objects, angular_velocity=angular_velocity)
-    return family.predictors()["it"]
+    return family.networks()["it"]
 
 
 def images(count: int) -> torch.Tensor:
@@ -75,7 +75,7 @@ def test_a_family_forecasts_what_its_members_forecast_alone(names, count):
     family = compact_family({name: name for name in names}, count, 2, angular_velocity=True).eval()
     with torch.inference_mode():
         together = family(images(count), 4)
-        for name, member in family.predictors().items():
+        for name, member in family.networks().items():
             for one, other in zip(together[name], member(images(count), 4), strict=True):
                 torch.testing.assert_close(one, other)
 
@@ -92,7 +92,7 @@ def encoder_of_swapped(encoder: torch.nn.Module) -> torch.nn.Module:
 def test_swapped_balls_take_swapped_courses(name, interaction):
     count = 5 if name == "interpnet" else 4
     family = compact_family({"it": name}, count, 2, angular_velocity=True, interaction=interaction)
-    member = family.predictors()["it"].eval()
+    member = family.networks()["it"].eval()
     shake(member)
     swapped = copy.deepcopy(member)
     swapped.encoder = encoder_of_swapped(member.encoder)
@@ -111,7 +111,7 @@ def test_balls_know_of_each_other_by_their_interaction_alone():
             {"it": "posnet"}, 4, 3, angular_velocity=True, interaction=interaction
         )
         shake(family)
-        transition = family.predictors()["it"].transition
+        transition = family.networks()["it"].transition
         s = torch.randn(1, 3, 128, 8, 8)
         moved = s.clone()
         moved[:, 1] += 1
@@ -121,7 +121,7 @@ def test_balls_know_of_each_other_by_their_interaction_alone():
 
 def test_predictors_that_share_nothing_are_no_family():
     with pytest.raises(ValueError, match="share"):
-        Family({"one": compact("posnet"), "other": compact("dispnet")})
+        SharedStateFamily({"one": compact("posnet"), "other": compact("dispnet")})
 
 
 def test_every_parameter_gets_a_gradient(variant, frames):

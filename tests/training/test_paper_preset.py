@@ -23,7 +23,7 @@ def test_shapes_and_gradients(name, objects, channels):
     torch.manual_seed(0)
     count = 5 if name == "interpnet" else 4
     family = paper_family({"it": name}, count, objects, angular_velocity=True)
-    predictor = family.predictors()["it"]
+    predictor = family.networks()["it"]
     frames = torch.randint(0, 256, (1, count, 128, 128, 3), dtype=torch.uint8)
     assert predictor.start(frames).s.shape == (1, objects, channels, 8, 8)
     forecast = predictor(frames, 3)

@@ -55,7 +55,7 @@ def test_a_wider_network_begins_as_the_narrower_one(two_balls, tmp_path):
     """The eye of one ball becomes that of each, and neither minds the new inputs at first."""
     posnet = read_initial(MODELS / "posnet" / "1")
     trainer = Trainer(two_balls, tmp_path, PACE, [posnet])
-    (member,) = trainer.family.predictors().values()
+    (member,) = trainer.family.networks().values()
     own = member.state_dict()
     stem = "encoder.layers.0.weight"
     torch.testing.assert_close(own[stem][:, :12], posnet.parameters[stem])

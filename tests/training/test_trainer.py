@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 import torch
 
+from tests.training.conftest import tiny
 from training.models.compact import compact_family
-from training.recipes import Milestone
+from training.recipes import Milestone, field_one_ball, one_ball
 from training.trainer import (
     BEST,
     Initial,
@@ -15,6 +16,11 @@ from training.trainer import (
 )
 
 PACE = Pace(validate_every=16, checkpoint_seconds=0, workers=0)
+
+
+@pytest.fixture(params=[one_ball, field_one_ball], ids=["shared state", "explicit state"])
+def any_recipe(request, runs):
+    return tiny(request.param())
 
 
 class MachineLostError(Exception):
@@ -30,15 +36,15 @@ class TrainerThatDies(Trainer):
         return super()._step(batch, spent)
 
 
-def test_a_stopped_training_ends_with_the_same_weights(recipe, tmp_path):
-    whole = Trainer(recipe, tmp_path / "whole", PACE)
+def test_a_stopped_training_ends_with_the_same_weights(any_recipe, tmp_path):
+    whole = Trainer(any_recipe, tmp_path / "whole", PACE)
     whole.run()
     with pytest.raises(MachineLostError):
-        TrainerThatDies(recipe, tmp_path / "stopped", PACE).run()
-    resumed = Trainer(recipe, tmp_path / "stopped", PACE)
+        TrainerThatDies(any_recipe, tmp_path / "stopped", PACE).run()
+    resumed = Trainer(any_recipe, tmp_path / "stopped", PACE)
     resumed.run()
 
-    assert resumed.sequences == whole.sequences == recipe.sequences
+    assert resumed.sequences == whole.sequences == any_recipe.sequences
     for one, other in (
         (whole.family, resumed.family),
         (whole.averaged(), resumed.averaged()),
@@ -48,13 +54,13 @@ def test_a_stopped_training_ends_with_the_same_weights(recipe, tmp_path):
             torch.testing.assert_close(value, expected[name], rtol=0, atol=0)
 
 
-def test_training_lowers_the_error_and_keeps_the_best(recipe, tmp_path):
-    trainer = Trainer(recipe, tmp_path, PACE)
+def test_training_lowers_the_error_and_keeps_the_best(any_recipe, tmp_path):
+    trainer = Trainer(any_recipe, tmp_path, PACE)
     before = {name: value.clone() for name, value in trainer.family.state_dict().items()}
     error = trainer.run()
     best = torch.load(tmp_path / BEST, weights_only=True)
     assert best["validation_error_px"] == error
-    assert best["sequences"] <= recipe.sequences
+    assert best["sequences"] <= any_recipe.sequences
     changed = [n for n, v in trainer.family.state_dict().items() if not torch.equal(v, before[n])]
     assert set(changed) == set(before)
 
@@ -77,17 +83,17 @@ def test_what_is_shared_waits_for_the_heads():
 def test_foreign_parameters_are_refused():
     family = compact_family({"one": "posnet"}, 4, 1, angular_velocity=True)
     with pytest.raises(ValueError, match="share no name"):
-        load_fitting(family.predictors()["one"], {"somebody.else": torch.zeros(3)})
+        load_fitting(family.networks()["one"], {"somebody.else": torch.zeros(3)})
 
 
 def test_networks_begin_with_their_own_heads_and_the_first_ones_encoder(recipe, tmp_path):
     torch.manual_seed(7)
-    posnet, probnet = (recipe.build().predictors()[name] for name in ("posnet", "probnet"))
+    posnet, probnet = (recipe.build().networks()[name] for name in ("posnet", "probnet"))
     initial = [
         Initial("probnet", probnet.state_dict(), 96),
         Initial("posnet", posnet.state_dict(), 640),
     ]
-    members = Trainer(recipe, tmp_path, PACE, initial).family.predictors()
+    members = Trainer(recipe, tmp_path, PACE, initial).family.networks()
     for name, own in (("posnet", posnet), ("probnet", probnet)):
         torch.testing.assert_close(
             members[name].motion.state_dict(), own.motion.state_dict(), rtol=0, atol=0

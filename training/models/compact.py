@@ -9,7 +9,7 @@ from training.models.blocks import (
     ObjectInteraction,
     SpatialReadout,
 )
-from training.models.predictor import Family, Head, Predictor
+from training.models.predictor import Family, Head, Predictor, SharedStateFamily
 
 CHANNELS = 128
 
@@ -35,7 +35,7 @@ def compact_family(
     met = ObjectInteraction() if interaction and objects > 1 else None
     transition = ConvTransition(CHANNELS, 128, met)
     spin = SpatialReadout(CHANNELS, 3) if angular_velocity else None
-    return Family(
+    return SharedStateFamily(
         {
             name: Predictor(encoder, transition, HEADS[variant](CHANNELS), spin)
             for name, variant in variants.items()

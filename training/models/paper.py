@@ -25,6 +25,7 @@ from training.models.predictor import (
     IncrementalMotion,
     PointOutput,
     Predictor,
+    SharedStateFamily,
 )
 
 VGG16 = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
@@ -149,7 +150,7 @@ def paper_family(
     met = ObjectInteraction() if interaction and objects > 1 else None
     transition = PlainTransition(channels, met)
     spin = Perceptron(channels, 3) if angular_velocity else None
-    return Family(
+    return SharedStateFamily(
         {
             name: Predictor(encoder, transition, HEADS[variant](channels), spin)
             for name, variant in variants.items()

@@ -1,6 +1,7 @@
 """The recurrent predictor: encoder, transition, motion, read-outs, composed (design, section 4)."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
@@ -17,10 +18,31 @@ SMALLEST_VARIANCE_PX2 = 0.01
 
 
 class State(NamedTuple):
-    """h_t = (s_t, p_t): distributed state [B, N, C, 8, 8] and motion state [B, N, P]."""
+    """h_t = (s_t, p_t): distributed state [B, N, C, 8, 8] and motion state [B, N, P].
+
+    A network with an explicit state keeps its map of the ground [B, 3, G, G] as s.
+    """
 
     s: Tensor
     p: Tensor
+
+
+class Reading(NamedTuple):
+    """What a network with an explicit state reads from the frames, for its training alone.
+
+    Halves of the frame in image axes (x right, y down, z towards the camera); rad/s / 20.
+    """
+
+    seen_positions: tuple[Tensor, ...]
+    """[B, N, K, 2] in the seen frames: the first look, then closer ones."""
+    ground: Tensor
+    """[B, 3, G, G]: where a ball's centre can rest, see :class:`training.ground.Ground`."""
+    measures: Tensor
+    """[B, 2]: see :class:`training.models.fieldnet.Ball`."""
+    centres: Tensor
+    """[B, N, 3] at t = 0."""
+    velocities: Tensor
+    """[B, N, 3] at t = 0, a frame."""
 
 
 class Observation(NamedTuple):
@@ -34,6 +56,7 @@ class Observation(NamedTuple):
     covariances: Tensor | None
     angular_velocities: Tensor | None
     final_positions: Tensor | None = None
+    reading: Reading | None = None
 
 
 class Motion(Protocol):
@@ -129,7 +152,39 @@ def logit_of_variance(variance_px2: float) -> float:
     return math.log(share / (1 - share))
 
 
-class Predictor(nn.Module):
+class Network(nn.Module, ABC):
+    """A recurrent network: frames to a state, state to state, state to an observation."""
+
+    @abstractmethod
+    def start(self, frames_BKHW3: Tensor) -> State:
+        """h_0 from the seen frames."""
+
+    @abstractmethod
+    def advance(self, state: State) -> State:
+        """h_{t+1} from h_t."""
+
+    @abstractmethod
+    def observe(self, state: State) -> Observation:
+        """Observation y_t of a state."""
+
+    def observe_first(self, state: State) -> Observation:
+        """Observation of h_0, which may say more than later ones do."""
+        return self.observe(state)
+
+    def forward(self, frames_BKHW3: Tensor, horizon: int) -> Observation:
+        """Observations of the steps 0..horizon-1, stacked after the objects' axis."""
+        return self.roll_out(self.start(frames_BKHW3), horizon)
+
+    def roll_out(self, state: State, horizon: int) -> Observation:
+        """Observations of the steps 0..horizon-1 from the first state on."""
+        steps = [self.observe_first(state)]
+        for _ in range(horizon - 1):
+            state = self.advance(state)
+            steps.append(self.observe(state))
+        return stacked(steps)
+
+
+class Predictor(Network):
     """Encoder x transition x head x angular velocity.
 
     Parameters
@@ -184,17 +239,38 @@ class Predictor(nn.Module):
         """Angular velocity in rad/s, or None."""
         return None if self.spin is None else ANGULAR_VELOCITY_UNIT * self.spin(s)
 
-    def forward(self, frames_BKHW3: Tensor, horizon: int) -> Observation:
-        """Observations of the steps 0..horizon-1, stacked after the objects' axis."""
-        state = self.start(frames_BKHW3)
-        steps = [self.observe_first(state)]
-        for _ in range(horizon - 1):
-            state = self.advance(state)
-            steps.append(self.observe(state))
-        return _rollout(steps)
-
 
 class Family(nn.Module):
+    """Networks that are trained together.
+
+    Parameters
+    ----------
+    members
+        Networks by name.
+    """
+
+    def __init__(self, members: Mapping[str, Network]) -> None:
+        super().__init__()
+        self.members = nn.ModuleDict(dict(members))
+
+    def networks(self) -> dict[str, Network]:
+        """Return the members by name."""
+        members: dict[str, Network] = {}
+        for name, member in self.members.items():
+            assert isinstance(member, Network)
+            members[name] = member
+        return members
+
+    def shared_parameters(self) -> list[nn.Parameter]:
+        """Return the parameters that all members share: none."""
+        return []
+
+    def forward(self, frames_BKHW3: Tensor, horizon: int) -> dict[str, Observation]:
+        """Observations of the steps 0..horizon-1 of every member."""
+        return {name: member(frames_BKHW3, horizon) for name, member in self.networks().items()}
+
+
+class SharedStateFamily(Family):
     """Predictors that share encoder, transition and spin read-out, rolled out together.
 
     The distributed state is by far the larger part of the work and is the same for all of them, so
@@ -207,8 +283,7 @@ class Family(nn.Module):
     """
 
     def __init__(self, members: Mapping[str, Predictor]) -> None:
-        super().__init__()
-        self.members = nn.ModuleDict(dict(members))
+        super().__init__(members)
         first = next(iter(members.values()))
         if any(
             (member.encoder, member.transition, member.spin)
@@ -249,27 +324,29 @@ class Family(nn.Module):
             for name, member in members.items():
                 positions, covariances = member.output(motions[name])
                 steps[name].append(Observation(positions, covariances, spin, finals[name]))
-        return {name: _rollout(observed) for name, observed in steps.items()}
+        return {name: stacked(observed) for name, observed in steps.items()}
 
 
 def in_float32(observation: Observation) -> Observation:
     """Return an observation whose tensors are float32, for a loss under autocast."""
-    covariances, spin, final = observation[1:]
+    covariances, spin, final = observation[1:4]
     return Observation(
         observation.positions.float(),
         None if covariances is None else covariances.float(),
         None if spin is None else spin.float(),
         None if final is None else final.float(),
+        observation.reading,
     )
 
 
-def _rollout(steps: Sequence[Observation]) -> Observation:
+def stacked(steps: Sequence[Observation]) -> Observation:
     """Stack the steps' observations after the objects' axis."""
     return Observation(
         torch.stack([step.positions for step in steps], dim=2),
         _stacked([step.covariances for step in steps]),
         _stacked([step.angular_velocities for step in steps]),
         steps[0].final_positions,
+        steps[0].reading,
     )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from training.models.compact import compact_family
+from training.models.fieldnet import field_family
 from training.models.paper import paper_family
 from training.models.predictor import Family
 
@@ -34,4 +35,8 @@ class Preset(Protocol):
         ...
 
 
-PRESETS: Mapping[str, Preset] = {"compact": compact_family, "paper": paper_family}
+PRESETS: Mapping[str, Preset] = {
+    "compact": compact_family,
+    "paper": paper_family,
+    "field": field_family,
+}

@@ -1,0 +1,216 @@
+"""The eye of the explicit-state network: frames to the ground and to every ball's state.
+
+A first look at the whole frames maps the ground and says roughly where the balls are; closer looks
+at patches around them, all seen frames side by side, give positions to fractions of a pixel and
+show how the texture turns.
+
+Lengths are halves of the frame in image axes (x right, y down, z towards the camera), times are
+frames. Shape suffixes as in ``blocks.py``.
+"""
+
+from contextlib import AbstractContextManager, nullcontext
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from training.models.blocks import PIXEL_UNIT, ResidualConv, normalised_frames
+
+PATCH = 32
+"""Samples a side of a closer look."""
+
+PATCH_HALF_WIDTH = 20 / PIXEL_UNIT
+"""40 pixels: the largest ball of any scenario, and some ground around it."""
+
+SAMPLE_AHEAD = (0.0, 0.5, 1.0)
+"""Frames ahead at which the ground is felt for the first velocity."""
+
+
+class Look(NamedTuple):
+    """What the eye says of the seen frames."""
+
+    seen_positions: tuple[Tensor, ...]
+    """[B, N, K, 2], from the first look to the closest."""
+    ground: Tensor
+    """[B, 3, G, G]."""
+    measures: Tensor
+    """[B, 2]."""
+    centres: Tensor
+    """[B, N, 3] at t = 0."""
+    velocities: Tensor
+    """[B, N, 3] at t = 0."""
+    spins: Tensor
+    """[B, N, 3] at t = 0, units of 20 rad/s, world axes."""
+    features: Tensor
+    """[B, N, features] of the closest look."""
+
+
+def full_precision(device: torch.device) -> AbstractContextManager[object]:
+    """Leave autocast: a rollout adds small changes, which bfloat16 would round away."""
+    if torch.is_autocast_enabled(device.type):
+        return torch.autocast(device.type, enabled=False)
+    return nullcontext()
+
+
+def of_each(module: nn.Module, x: Tensor) -> Tensor:
+    """Apply a perceptron over the last axis.
+
+    Written as one matrix product: only those keep their parameters' names in an exported graph.
+    """
+    return module(x.flatten(0, -2)).unflatten(0, x.shape[:-1])
+
+
+def sampled(ground_B3GG: Tensor, points_BMA2: Tensor) -> Tensor:
+    """Ground [B, M, A, 3] at image points, bilinear; beyond the frame its border goes on."""
+    values = functional.grid_sample(
+        ground_B3GG, points_BMA2, padding_mode="border", align_corners=False
+    )
+    return values.permute(0, 2, 3, 1)
+
+
+class FirstLook(nn.Module):
+    """Whole frames to ground, measures and rough positions: down to 8 x 8 cells and up again."""
+
+    def __init__(self, frames: int, objects: int, widths: tuple[int, int, int]) -> None:
+        super().__init__()
+        fine, middle, coarse = widths
+        self.seen = (objects, frames)
+        self.stem = nn.Sequential(
+            nn.Conv2d(3 * frames, fine, 8, stride=4, padding=2), ResidualConv(fine, fine)
+        )
+        self.down_16 = nn.Sequential(
+            nn.ReLU(),
+            nn.Conv2d(fine, middle, 3, stride=2, padding=1),
+            ResidualConv(middle, middle),
+        )
+        self.down_8 = nn.Sequential(
+            nn.ReLU(),
+            nn.Conv2d(middle, coarse, 3, stride=2, padding=1),
+            ResidualConv(coarse, middle),
+            ResidualConv(coarse, middle),
+        )
+        self.up_16 = nn.Conv2d(coarse, middle, 1)
+        self.refine_16 = ResidualConv(middle, middle)
+        self.up_32 = nn.Conv2d(middle, fine, 1)
+        self.refine_32 = ResidualConv(fine, fine)
+        self.ground = nn.Conv2d(fine, 3, 3, padding=1)
+        self.where = nn.Conv2d(middle, objects * frames * 3, 1)
+        self.measures = nn.Linear(coarse, 2)
+
+    def forward(self, frames_BKHW3: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Positions [B, N, K, 2], ground [B, 3, 32, 32] and measures [B, 2]."""
+        image = normalised_frames(frames_BKHW3).contiguous(memory_format=torch.channels_last)
+        at_32 = self.stem(image)
+        at_16 = self.down_16(at_32)
+        at_8 = self.down_8(at_16)
+        at_16 = self.refine_16(at_16 + functional.interpolate(self.up_16(at_8), scale_factor=2.0))
+        at_32 = self.refine_32(at_32 + functional.interpolate(self.up_32(at_16), scale_factor=2.0))
+        ground = self.ground(at_32.relu()).float()
+        ground = torch.cat([ground[:, :2].tanh(), ground[:, 2:]], dim=1)
+        positions = _attended(self.where(at_16.relu()), self.seen)
+        measures = self.measures(at_8.relu().float().mean(dim=(2, 3))).float()
+        return positions, ground, measures
+
+
+class CloserLook(nn.Module):
+    """Patches around the balls, all frames of one ball side by side, to corrections of positions.
+
+    Parameters
+    ----------
+    features
+        Numbers that say what else the patches show: how the ball turns, where it is hidden.
+    """
+
+    grid: Tensor
+
+    def __init__(self, frames: int, features: int) -> None:
+        super().__init__()
+        self.frames = frames
+        self.layers = nn.Sequential(
+            nn.Conv2d(3 * frames, 64, 5, stride=2, padding=2),
+            ResidualConv(64, 64),
+            ResidualConv(64, 64),
+            nn.ReLU(),
+            nn.Conv2d(64, 96, 3, stride=2, padding=1),
+            ResidualConv(96, 96),
+            ResidualConv(96, 96),
+            nn.ReLU(),
+            nn.Conv2d(96, 24, 1),
+            nn.Flatten(),
+            nn.Linear(24 * (PATCH // 4) ** 2, 256),
+            nn.ReLU(),
+        )
+        self.correction = nn.Linear(256, 2 * frames)
+        self.features = nn.Linear(256, features)
+        nn.init.zeros_(self.correction.weight)
+        nn.init.zeros_(self.correction.bias)
+        centres = ((torch.arange(PATCH) + 0.5) * (2 / PATCH) - 1) * PATCH_HALF_WIDTH
+        y, x = torch.meshgrid(centres, centres, indexing="ij")
+        self.register_buffer("grid", torch.stack([x, y], dim=-1), persistent=False)
+
+    def forward(self, images_BK3HW: Tensor, around_BNK2: Tensor) -> tuple[Tensor, Tensor]:
+        """Corrected positions [B, N, K, 2] and features [B, N, features]."""
+        batch, objects, frames = around_BNK2.shape[:3]
+        # The correction is what learns, not the way to a better patch.
+        centres = around_BNK2.detach()
+        grid = self.grid + centres.transpose(1, 2).flatten(0, 1)[:, :, None, None]
+        # Balls lie below one another: one sampling a frame serves all of them.
+        patches = functional.grid_sample(
+            images_BK3HW.flatten(0, 1), grid.flatten(1, 2),
+            padding_mode="border", align_corners=False,
+        )  # fmt: skip
+        patches = patches.reshape(batch, frames, 3, objects, PATCH, PATCH)
+        stacked = patches.permute(0, 3, 1, 2, 4, 5).reshape(-1, 3 * frames, PATCH, PATCH)
+        seen = self.layers(stacked.contiguous(memory_format=torch.channels_last))
+        correction = self.correction(seen).float().reshape(batch, objects, frames, 2)
+        return centres + correction, self.features(seen).float().reshape(batch, objects, -1)
+
+
+class Eye(nn.Module):
+    """First look, two closer looks, and the state at t = 0 from what they found.
+
+    The closer look is the same network twice: the second time its patches are centred already.
+    """
+
+    def __init__(self, frames: int, objects: int, widths: tuple[int, int, int] = (48, 96, 128)):
+        super().__init__()
+        features = 128
+        self.first = FirstLook(frames, objects, widths)
+        self.closer = CloserLook(frames, features)
+        seen = features + 2 * (frames - 1) + 2 + 3 * len(SAMPLE_AHEAD) + 2
+        self.state = nn.Sequential(
+            nn.Linear(seen, 192), nn.SiLU(), nn.Linear(192, 192), nn.SiLU(), nn.Linear(192, 9)
+        )
+
+    def forward(self, frames_BKHW3: Tensor) -> Look:
+        """Look at frames uint8 [B, K, 128, 128, 3]."""
+        rough, ground, measures = self.first(frames_BKHW3)
+        images = frames_BKHW3.permute(0, 1, 4, 2, 3).float() / 127.5 - 1
+        near, _ = self.closer(images, rough)
+        exact, features = self.closer(images, near)
+        with full_precision(exact.device):
+            last = exact[:, :, -1]
+            shifts = exact[:, :, 1:] - exact[:, :, :-1]
+            ahead = torch.stack([last + a * shifts[:, :, -1] for a in SAMPLE_AHEAD], dim=2)
+            felt = sampled(ground, ahead.detach())
+            scale = measures[:, None].expand(-1, last.shape[1], -1)
+            known = [features, 10 * shifts.flatten(2), last, felt.flatten(2), scale]
+            said = of_each(self.state, torch.cat(known, dim=-1))
+            height = felt[:, :, 0, 2:] + 0.1 * said[..., 2:3]
+            centres = torch.cat([last + 0.01 * said[..., :2], height], dim=-1)
+            rise = 0.1 * said[..., 5:6]
+            velocities = torch.cat([shifts[:, :, -1] + 0.03 * said[..., 3:5], rise], dim=-1)
+        positions = (rough, near, exact)
+        return Look(positions, ground, measures, centres, velocities, said[..., 6:], features)
+
+
+def _attended(values: Tensor, seen: tuple[int, int]) -> Tensor:
+    """Positions [B, N, K, 2] that cells propose relative to themselves, weighed by a softmax."""
+    cells = values.shape[-1]
+    proposals = values.float().unflatten(1, (*seen, 3))
+    centres = (torch.arange(cells, device=values.device) + 0.5) * (2 / cells) - 1
+    y, x = torch.meshgrid(centres, centres, indexing="ij")
+    weights = proposals[:, :, :, 0].flatten(3).softmax(dim=-1)
+    points = proposals[:, :, :, 1:] * (2 / cells) + torch.stack([x, y])
+    return (weights[:, :, :, None] * points.flatten(4)).sum(dim=-1)

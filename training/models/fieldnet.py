@@ -1,0 +1,266 @@
+"""FieldNet: balls with an explicit state, moved over a map of the ground that the eye draws.
+
+A network of ours beside the paper's (design, section 4). Units as in ``eye.py``.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from rollcast.camera import BOWL_HALF_WIDTH_M
+from training.models.eye import Eye, full_precision, of_each, sampled
+from training.models.predictor import (
+    ANGULAR_VELOCITY_UNIT,
+    Family,
+    GaussianOutput,
+    Network,
+    Observation,
+    Reading,
+    State,
+    logit_of_variance,
+)
+
+AHEAD = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Frames ahead, at the present velocity, at which the ground is felt."""
+
+MESSAGE = 32
+"""Numbers that one ball tells another."""
+
+FARTHEST, FASTEST, MOST_SPIN = 2.0, 1.0, 25.0
+"""Bounds of a ball's state that no scene comes near: a rollout cannot run away."""
+
+FIRST_VARIANCE_PX2 = 2.0
+
+
+class Ball(NamedTuple):
+    """The explicit state of every ball, [..., size] each; p_t is all of it side by side."""
+
+    centre: Tensor
+    """[..., 3]."""
+    velocity: Tensor
+    """[..., 3] a frame."""
+    spin: Tensor
+    """[..., 3] units of 20 rad/s, world axes."""
+    doubt: Tensor
+    """[..., 3] (beta_1, beta_2, theta) of the position's Gaussian (paper, section 3.3)."""
+    measures: Tensor
+    """[..., 2] constants of the scene: 5 x (metres in half the frame - a bowl's) and 5 x the
+    balls' radius in metres."""
+
+    @classmethod
+    def unpacked(cls, p: Tensor) -> "Ball":
+        """Ball whose numbers stand side by side in the last axis."""
+        return cls(*p.split((3, 3, 3, 3, 2), dim=-1))
+
+    def packed(self) -> Tensor:
+        """Numbers side by side, [..., 14]."""
+        return torch.cat(self, dim=-1)
+
+    @property
+    def radius(self) -> Tensor:
+        """[..., 1], halves of the frame."""
+        scale, radius = self.measures.split(1, dim=-1)
+        return (radius / 5) / (BOWL_HALF_WIDTH_M + scale / 5)
+
+
+class Encounters(nn.Module):
+    """What every ball learns of the others it may meet: the sum of their messages."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.message = nn.Sequential(
+            nn.Linear(2 * 3 + 2 * 3 + len(AHEAD) + 1, 96), nn.SiLU(), nn.Linear(96, MESSAGE)
+        )
+
+    def forward(self, ball: Ball) -> Tensor:
+        """Messages [B, N, MESSAGE]; a ball that is out of reach says nothing."""
+        apart = ball.centre[:, None] - ball.centre[:, :, None]
+        closing = ball.velocity[:, None] - ball.velocity[:, :, None]
+        ahead = torch.tensor(AHEAD, device=apart.device)[:, None]
+        ways = apart[..., None, :] + ahead * closing[..., None, :]
+        gaps = ways.norm(dim=-1) - 2 * ball.radius[:, :, None]
+        objects = apart.shape[1]
+        mine = ball.spin[:, :, None].expand(-1, -1, objects, -1)
+        other = ball.spin[:, None].expand(-1, objects, -1, -1)
+        size = ball.radius[:, :, None].expand(-1, -1, objects, -1)
+        seen = torch.cat(
+            [5 * apart, 10 * closing, mine, other, (20 * gaps).clamp(-2, 2), size], dim=-1
+        )
+        # Balls meet within a frame only when some gap is small; nobody meets itself.
+        near = (1 - 10 * gaps.amin(dim=-1, keepdim=True)).clamp(0, 1)
+        strangers = 1 - torch.eye(objects, device=apart.device)[..., None]
+        return (of_each(self.message, seen) * near * strangers).sum(dim=2)
+
+
+class Rolling(nn.Module):
+    """One frame of motion: a perceptron that feels the ground along the way of every ball.
+
+    What a contact needs is laid out for it: gaps and approach speeds against the ground, and how
+    far the ball would get beyond the frame's border, where heightfields have elastic walls.
+    """
+
+    def __init__(self, hidden: int, encounters: Encounters | None) -> None:
+        super().__init__()
+        self.encounters = encounters
+        felt = 3 * 3 + 3 * 2 + 5 * len(AHEAD) + 2 + (MESSAGE if encounters else 0)
+        self.layers = nn.Sequential(
+            nn.Linear(felt, hidden), nn.SiLU(), nn.Linear(hidden, hidden), nn.SiLU()
+        )
+        self.change = nn.Linear(hidden, 9)
+        # Plain bounces and free rolling are linear in what is felt.
+        self.linear = nn.Linear(felt, 9, bias=False)
+        # Doubt listens without changing what is said of the positions.
+        self.doubt = nn.Sequential(nn.Linear(felt + 3, 64), nn.SiLU(), nn.Linear(64, 3))
+        for last in (self.change, self.linear, self.doubt[-1]):
+            assert isinstance(last, nn.Linear)
+            for parameter in last.parameters():
+                nn.init.zeros_(parameter)
+
+    def forward(self, ball: Ball, ground_B3GG: Tensor) -> Ball:
+        """Balls [B, N, ...] a frame later."""
+        felt = self._felt(ball, ground_B3GG)
+        change = of_each(self.change, of_each(self.layers, felt)) + of_each(self.linear, felt)
+        moved, pushed, turned = change.split(3, dim=-1)
+        doubting = torch.cat([felt, ball.doubt], dim=-1).detach()
+        doubt = ball.doubt + of_each(self.doubt, doubting)
+        return Ball(
+            (ball.centre + ball.velocity + 0.1 * moved).clamp(-FARTHEST, FARTHEST),
+            (ball.velocity + 0.1 * pushed).clamp(-FASTEST, FASTEST),
+            (ball.spin + turned).clamp(-MOST_SPIN, MOST_SPIN),
+            doubt,
+            ball.measures,
+        )
+
+    def _felt(self, ball: Ball, ground_B3GG: Tensor) -> Tensor:
+        """Numbers [B, N, felt] that the perceptrons work on."""
+        velocity, flat = ball.velocity, ball.velocity[..., :2]
+        border = 1 - ball.radius
+        there = ball.centre[..., :2] + flat
+        beyond = there - torch.minimum(torch.maximum(there, -border), border)
+        hit = (500 * beyond.abs()).clamp(max=1)
+        ahead = torch.tensor(AHEAD, device=velocity.device)[:, None]
+        way = ball.centre[..., None, :] + ahead * velocity[..., None, :]
+        under = sampled(ground_B3GG, way[..., :2])
+        lean, height = under[..., :2], under[..., 2]
+        upright = (1 - lean.square().sum(dim=-1)).clamp(min=1e-3).sqrt()
+        gap = (20 * (way[..., 2] - height - ball.radius)).clamp(-2, 2)
+        rising = (flat[..., None, :] * lean).sum(dim=-1) + velocity[..., 2:] * upright
+        known = [
+            ball.centre, 10 * velocity, ball.spin, 10 * beyond, hit, 10 * hit * flat,
+            lean[..., 0], lean[..., 1], upright, gap, 20 * rising, ball.measures,
+        ]  # fmt: skip
+        if self.encounters is not None:
+            known.append(self.encounters(ball))
+        return torch.cat(known, dim=-1)
+
+
+class FieldNet(Network):
+    """Eye x rolling: s_t is the map of the ground, which stays, and p_t the balls' states.
+
+    Raises
+    ------
+    ValueError
+        When more than the four observed frames are asked for.
+    """
+
+    def __init__(self, frames: int, objects: int, *, interaction: bool, hidden: int = 256) -> None:
+        super().__init__()
+        if frames != 4:
+            raise ValueError(f"fieldnet sees four frames, not {frames}")
+        self.eye = Eye(frames, objects)
+        met = Encounters() if interaction and objects > 1 else None
+        self.rolling = Rolling(hidden, met)
+        self.first_doubt = nn.Linear(128, 3)
+        nn.init.zeros_(self.first_doubt.weight)
+        with torch.no_grad():
+            self.first_doubt.bias[:] = torch.tensor(
+                [logit_of_variance(FIRST_VARIANCE_PX2)] * 2 + [0.0]
+            )
+        self.output = GaussianOutput()
+
+    def start(self, frames_BKHW3: Tensor) -> State:
+        """h_0 from the seen frames."""
+        return self._look(frames_BKHW3)[0]
+
+    def _look(self, frames_BKHW3: Tensor) -> tuple[State, Reading]:
+        look = self.eye(frames_BKHW3)
+        with full_precision(look.ground.device):
+            doubt = of_each(self.first_doubt, look.features.detach())
+        measures = look.measures[:, None].expand(-1, look.centres.shape[1], -1)
+        ball = Ball(look.centres, look.velocities, look.spins, doubt, measures)
+        reading = Reading(
+            look.seen_positions, look.ground, look.measures, look.centres, look.velocities
+        )
+        return State(look.ground, ball.packed()), reading
+
+    def advance(self, state: State) -> State:
+        """h_{t+1} from h_t."""
+        return State(state.s, self.rolling(Ball.unpacked(state.p), state.s).packed())
+
+    def observe(self, state: State) -> Observation:
+        """Observation y_t of a state."""
+        ball = Ball.unpacked(state.p)
+        positions, covariances = self.output(torch.cat([ball.centre[..., :2], ball.doubt], dim=-1))
+        return Observation(positions, covariances, ANGULAR_VELOCITY_UNIT * ball.spin)
+
+    def forward(self, frames_BKHW3: Tensor, horizon: int) -> Observation:
+        """Observations of the steps 0..horizon-1, and what the eye read, for its own loss."""
+        state, reading = self._look(frames_BKHW3)
+        with full_precision(state.s.device):
+            return self.roll_out(state, horizon)._replace(reading=reading)
+
+    def practise(
+        self, centres_BNK3: Tensor, spins_BN3: Tensor, scenery: tuple[Tensor, Tensor], horizon: int
+    ) -> tuple[Tensor, Tensor]:
+        """Roll from true states, without the eye.
+
+        Parameters
+        ----------
+        centres_BNK3
+            Centres in the seen frames.
+        spins_BN3
+            Angular velocities at t = 0, rad/s.
+        scenery
+            Ground [B, 3, G, G] and measures [B, 2].
+
+        Returns
+        -------
+        Centres [B, N, T, 3] and angular velocities [B, N, T, 3] in rad/s.
+        """
+        ground, measures = scenery
+        now, before = centres_BNK3[:, :, -1], centres_BNK3[:, :, -2]
+        doubt = self.first_doubt.bias.expand_as(now)
+        ball = Ball(
+            now, now - before, spins_BN3 / ANGULAR_VELOCITY_UNIT, doubt,
+            measures[:, None].expand(-1, now.shape[1], -1),
+        )  # fmt: skip
+        balls = [ball]
+        for _ in range(horizon - 1):
+            balls.append(self.rolling(balls[-1], ground))
+        centres = torch.stack([ball.centre for ball in balls], dim=2)
+        spins = torch.stack([ball.spin for ball in balls], dim=2)
+        return centres, ANGULAR_VELOCITY_UNIT * spins
+
+
+def field_family(
+    variants: Mapping[str, str],
+    frames: int,
+    objects: int,
+    *,
+    angular_velocity: bool,
+    interaction: bool = True,
+) -> Family:
+    """Make networks of the field preset (see :class:`training.models.presets.Preset`).
+
+    Raises
+    ------
+    ValueError
+        For another variant, more than four frames, or without angular velocities, which are a part
+        of the state.
+    """
+    if set(variants.values()) != {"fieldnet"} or not angular_velocity:
+        raise ValueError("the field preset makes fieldnet alone, with angular velocities")
+    members = {name: FieldNet(frames, objects, interaction=interaction) for name in variants}
+    return Family(members)
