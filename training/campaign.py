@@ -14,8 +14,10 @@ from pathlib import Path
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from training.artefact import read_initial
 from training.recipes import (
-    Milestone,
     Recipe,
+    continued,
+    field_one_ball,
+    field_several_balls,
     one_ball,
     one_ball_between,
     several_balls,
@@ -36,7 +38,7 @@ class Line:
     Attributes
     ----------
     recipe
-        From nothing; later rounds stay at its last horizon.
+        From nothing.
     parents
         Models that the first round begins with when the family has none of its own.
     """
@@ -72,6 +74,9 @@ def lines() -> tuple[Line, ...]:
     """Return every family that ships, in the order of their first rounds."""
     one = ("posnet", "dispnet", "probnet")
     return (
+        Line(field_one_ball()),
+        Line(field_several_balls(2), parents=("fieldnet",)),
+        Line(field_several_balls(3), parents=("fieldnet-2",)),
         Line(one_ball()),
         Line(one_ball_between(), parents=("dispnet",)),
         Line(several_balls(2), parents=one),
@@ -116,8 +121,8 @@ def _round(line: Line, number: int, folder: Path, models: Path, sequences: int) 
     recipe = replace(line.recipe, sequences=sequences, seed=line.recipe.seed + number)
     own = committed_errors(recipe, models)
     if own is not None:
-        recipe = replace(recipe, curriculum=(Milestone(0, recipe.trained_horizon),))
-    elif line.parents:
+        recipe = continued(recipe)
+    elif line.parents and recipe.explicit is None:
         # Fresh heads on a trained state.
         recipe = replace(recipe, heads_alone=0.05)
     return Round(line, number, folder, recipe)

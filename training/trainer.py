@@ -26,6 +26,8 @@ from training.survey import survey
 
 CHECKPOINT = "checkpoint.pt"
 BEST = "best.pt"
+OF_EVERY_BALL = ("encoder.", "eye.first.where.")
+"""Parameters whose outputs there are of every ball."""
 USUAL_GRADIENT_MEMORY = 0.99
 SHARED_WARM_UP = 0.02
 """Share of the budget over which the shared parameters' rate rises after the heads' time alone."""
@@ -333,9 +335,9 @@ def shared_factor(spent: float, heads_alone: float) -> float:
 def load_fitting(network: Network, initial: dict[str, torch.Tensor]) -> list[str]:
     """Copy the parameters whose names and shapes fit; return the names that were taken over.
 
-    A network that sees a final frame, several balls or their interaction has wider convolutions
-    than one without. Input channels that the smaller network lacks begin at zero; the encoder's
-    output channels are repeated for every ball.
+    A network that sees a final frame, several balls or their interaction has wider layers than one
+    without. Inputs that the smaller network lacks begin at zero; outputs that there are of every
+    ball are repeated.
 
     Raises
     ------
@@ -357,7 +359,7 @@ def _widened(name: str, value: torch.Tensor, shape: torch.Size) -> torch.Tensor 
     """Parameter of a narrower layer in the shape of a wider one; None when it cannot be."""
     if value.ndim != len(shape) or value.shape[2:] != shape[2:]:
         return None
-    if name.startswith("encoder.") and shape[0] % value.shape[0] == 0:
+    if name.startswith(OF_EVERY_BALL) and shape[0] % value.shape[0] == 0:
         value = value.repeat(shape[0] // value.shape[0], *(1 for _ in shape[1:]))
     if value.ndim > 1 and value.shape[1] < shape[1]:
         missing = value.new_zeros(len(value), shape[1] - value.shape[1], *shape[2:])

@@ -4,9 +4,18 @@ import pytest
 import torch
 
 from training.losses import DistanceLoss, DoubtLoss, LikelihoodLoss, MotionLoss, ReadingLoss
-from training.models.eye import PATCH_HALF_WIDTH, CloserLook, sampled
+from training.models.eye import (
+    PATCH_HALF_WIDTH,
+    CloserLook,
+    Eye,
+    rise_along,
+    rolling_spin,
+    sampled,
+)
 from training.models.fieldnet import AHEAD, Ball, Encounters, FieldNet, field_family
-from training.models.predictor import Observation, Reading, State
+from training.models.predictor import ANGULAR_VELOCITY_UNIT, Observation, Reading, State
+from training.recipes import continued, field_one_ball, field_several_balls
+from training.trainer import horizon_at, load_fitting
 
 FRAMES = torch.randint(
     0, 256, (2, 4, 128, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(3)
@@ -112,6 +121,33 @@ def test_without_interaction_balls_do_not_notice_each_other():
     torch.testing.assert_close(near.centre[:, 0], far.centre[:, 0])
 
 
+@pytest.mark.parametrize("lean", [(0.0, 0.0), (0.3, -0.2), (-0.6, 0.4)])
+def test_a_ball_that_rolls_does_not_slip(lean):
+    """v = omega x r n: the touching point stands still; and v has no part along n."""
+    lean, flat = torch.tensor(lean), torch.tensor([0.05, 0.03])
+    velocity = torch.cat([flat, rise_along(lean, flat)])
+    normal = torch.cat([lean, (1 - lean.square().sum()).sqrt()[None]])
+    assert float(velocity @ normal) == pytest.approx(0, abs=1e-7)
+    radius = torch.tensor([0.2])
+    to_world = torch.tensor([1.0, -1.0, 1.0])
+    omega = rolling_spin(lean, velocity, radius) * ANGULAR_VELOCITY_UNIT / 40
+    carried = torch.linalg.cross(omega, radius * normal * to_world)
+    torch.testing.assert_close(carried, velocity * to_world)
+    assert float(omega @ (normal * to_world)) == pytest.approx(0, abs=1e-6)
+
+
+def test_an_untaught_eye_takes_balls_to_be_rolling():
+    torch.manual_seed(8)
+    eye = Eye(4, 1).eval()
+    with torch.no_grad():
+        for parameter in eye.state[-1].parameters():
+            parameter.zero_()
+        look = eye(FRAMES)
+    exact = look.seen_positions[-1]
+    torch.testing.assert_close(look.velocities[..., :2], exact[:, :, 3] - exact[:, :, 2])
+    torch.testing.assert_close(look.centres[..., :2], exact[:, :, 3])
+
+
 def test_a_closer_look_sees_its_own_patch_alone():
     torch.manual_seed(4)
     look = CloserLook(4, 8).eval()
@@ -177,6 +213,31 @@ def test_doubt_grows_without_moving_the_balls():
     taught = {name for name, p in network.named_parameters() if p.grad is not None and p.grad.any()}
     assert taught
     assert all("doubt" in name for name in taught)
+
+
+def test_several_balls_begin_as_one_ball_each():
+    """Each is looked for as the single ball was, and nobody is heard before it is learned."""
+    torch.manual_seed(9)
+    one = unsettled(field_net())
+    pair = field_net(2)
+    load_fitting(pair, one.state_dict())
+    with torch.inference_mode():
+        alone, both = one.eye(FRAMES), pair.eye(FRAMES)
+        for k in range(2):
+            torch.testing.assert_close(both.seen_positions[0][:, k], alone.seen_positions[0][:, 0])
+        start = balls(torch.tensor([[[0.1, 0.0, 0.2]]]), torch.tensor([[[0.05, 0.0, 0.0]]]))
+        twice = Ball(*(part.repeat(1, 2, 1) for part in start))
+        ground = torch.randn(1, 3, 32, 32)
+        moved, moved_twice = one.rolling(start, ground), pair.rolling(twice, ground)
+    for part, doubled in zip(moved, moved_twice, strict=True):
+        torch.testing.assert_close(doubled, part.repeat(1, 2, 1))
+
+
+def test_going_on_begins_with_the_eye_alone():
+    recipe = continued(field_several_balls(2))
+    assert horizon_at(recipe.curriculum, 0.5) == 1
+    assert recipe.trained_horizon == field_several_balls(2).trained_horizon == 30
+    assert continued(field_one_ball()).trained_horizon == 40
 
 
 def test_what_the_preset_cannot_make_is_refused():

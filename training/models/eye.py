@@ -15,13 +15,22 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from rollcast.camera import BOWL_HALF_WIDTH_M, NETWORK_FRAME_SIZE
+from rollcast.trajectory import FRAME_RATE_HZ
 from training.models.blocks import PIXEL_UNIT, ResidualConv, normalised_frames
+from training.models.predictor import ANGULAR_VELOCITY_UNIT
 
 PATCH = 32
 """Samples a side of a closer look."""
 
 PATCH_HALF_WIDTH = 20 / PIXEL_UNIT
 """40 pixels: the largest ball of any scenario, and some ground around it."""
+
+STEEPEST = 0.3
+"""Least upright part of a normal that is divided by."""
+
+SMALLEST_RADIUS = 0.02
+"""Halves of the frame; an untaught eye may see anything."""
 
 SAMPLE_AHEAD = (0.0, 0.5, 1.0)
 """Frames ahead at which the ground is felt for the first velocity."""
@@ -61,6 +70,42 @@ def of_each(module: nn.Module, x: Tensor) -> Tensor:
     return module(x.flatten(0, -2)).unflatten(0, x.shape[:-1])
 
 
+def radius_of(measures: Tensor) -> Tensor:
+    """Ball radius [..., 1] in halves of the frame (:class:`training.models.fieldnet.Ball`)."""
+    scale, radius = measures.split(1, dim=-1)
+    return (radius / 5) / (BOWL_HALF_WIDTH_M + scale / 5)
+
+
+def rise_along(lean: Tensor, flat_velocity: Tensor) -> Tensor:
+    """Rise [..., 1] that keeps a ball on its ground: no velocity along the normal."""
+    upright = (1 - lean.square().sum(dim=-1, keepdim=True)).clamp(min=STEEPEST**2).sqrt()
+    return -(lean * flat_velocity).sum(dim=-1, keepdim=True) / upright
+
+
+def rolling_spin(lean: Tensor, velocity: Tensor, radius: Tensor) -> Tensor:
+    """Spin [..., 3] of a ball that rolls without slipping: omega = n x v / r.
+
+    Parameters
+    ----------
+    lean
+        Image x and y of the ground's unit normal [..., 2].
+    velocity
+        [..., 3] a frame, image axes.
+    radius
+        [..., 1].
+
+    Returns
+    -------
+    Units of 20 rad/s, world axes: world y is image -y.
+    """
+    upright = (1 - lean.square().sum(dim=-1)).clamp(min=0).sqrt()
+    (nx, ny), (vx, vy, vz) = lean.unbind(-1), velocity.unbind(-1)
+    turned = torch.stack(
+        [-ny * vz + upright * vy, upright * vx - nx * vz, -nx * vy + ny * vx], dim=-1
+    )
+    return turned * (FRAME_RATE_HZ / ANGULAR_VELOCITY_UNIT) / radius.clamp(min=SMALLEST_RADIUS)
+
+
 def sampled(ground_B3GG: Tensor, points_BMA2: Tensor) -> Tensor:
     """Ground [B, M, A, 3] at image points, bilinear; beyond the frame its border goes on."""
     values = functional.grid_sample(
@@ -70,14 +115,22 @@ def sampled(ground_B3GG: Tensor, points_BMA2: Tensor) -> Tensor:
 
 
 class FirstLook(nn.Module):
-    """Whole frames to ground, measures and rough positions: down to 8 x 8 cells and up again."""
+    """Whole frames to ground, measures and rough positions: down to 8 x 8 cells and up again.
+
+    Every pixel also tells its place: a bowl's ground is a function of little else.
+    """
+
+    place: Tensor
 
     def __init__(self, frames: int, objects: int, widths: tuple[int, int, int]) -> None:
         super().__init__()
         fine, middle, coarse = widths
         self.seen = (objects, frames)
+        along = (torch.arange(NETWORK_FRAME_SIZE) + 0.5) / PIXEL_UNIT - 1
+        y, x = torch.meshgrid(along, along, indexing="ij")
+        self.register_buffer("place", torch.stack([x, y])[None], persistent=False)
         self.stem = nn.Sequential(
-            nn.Conv2d(3 * frames, fine, 8, stride=4, padding=2), ResidualConv(fine, fine)
+            nn.Conv2d(3 * frames + 2, fine, 8, stride=4, padding=2), ResidualConv(fine, fine)
         )
         self.down_16 = nn.Sequential(
             nn.ReLU(),
@@ -100,7 +153,9 @@ class FirstLook(nn.Module):
 
     def forward(self, frames_BKHW3: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Positions [B, N, K, 2], ground [B, 3, 32, 32] and measures [B, 2]."""
-        image = normalised_frames(frames_BKHW3).contiguous(memory_format=torch.channels_last)
+        image = normalised_frames(frames_BKHW3)
+        image = torch.cat([image, self.place.expand(len(image), -1, -1, -1)], dim=1)
+        image = image.contiguous(memory_format=torch.channels_last)
         at_32 = self.stem(image)
         at_16 = self.down_16(at_32)
         at_8 = self.down_8(at_16)
@@ -171,6 +226,7 @@ class Eye(nn.Module):
     """First look, two closer looks, and the state at t = 0 from what they found.
 
     The closer look is the same network twice: the second time its patches are centred already.
+    Rise and spin are read as what differs from rolling along the ground without slipping.
     """
 
     def __init__(self, frames: int, objects: int, widths: tuple[int, int, int] = (48, 96, 128)):
@@ -178,7 +234,7 @@ class Eye(nn.Module):
         features = 128
         self.first = FirstLook(frames, objects, widths)
         self.closer = CloserLook(frames, features)
-        seen = features + 2 * (frames - 1) + 2 + 3 * len(SAMPLE_AHEAD) + 2
+        seen = features + 2 * (frames - 1) + 2 + 3 * len(SAMPLE_AHEAD) + 2 + 4
         self.state = nn.Sequential(
             nn.Linear(seen, 192), nn.SiLU(), nn.Linear(192, 192), nn.SiLU(), nn.Linear(192, 9)
         )
@@ -194,15 +250,19 @@ class Eye(nn.Module):
             shifts = exact[:, :, 1:] - exact[:, :, :-1]
             ahead = torch.stack([last + a * shifts[:, :, -1] for a in SAMPLE_AHEAD], dim=2)
             felt = sampled(ground, ahead.detach())
-            scale = measures[:, None].expand(-1, last.shape[1], -1)
-            known = [features, 10 * shifts.flatten(2), last, felt.flatten(2), scale]
-            said = of_each(self.state, torch.cat(known, dim=-1))
+            lean, scale = felt[:, :, 0, :2], measures[:, None].expand(-1, last.shape[1], -1)
+            rise = rise_along(lean, shifts[:, :, -1])
+            moving = torch.cat([shifts[:, :, -1], rise], dim=-1)
+            rolling = rolling_spin(lean, moving, radius_of(scale))
+            known = [features, 10 * shifts.flatten(2), last, felt.flatten(2), scale, 10 * rise]
+            said = of_each(self.state, torch.cat([*known, rolling], dim=-1))
             height = felt[:, :, 0, 2:] + 0.1 * said[..., 2:3]
             centres = torch.cat([last + 0.01 * said[..., :2], height], dim=-1)
-            rise = 0.1 * said[..., 5:6]
-            velocities = torch.cat([shifts[:, :, -1] + 0.03 * said[..., 3:5], rise], dim=-1)
+            flat = 0.03 * said[..., 3:5]
+            velocities = moving + torch.cat([flat, 0.1 * said[..., 5:6]], dim=-1)
+            spins = rolling + said[..., 6:]
         positions = (rough, near, exact)
-        return Look(positions, ground, measures, centres, velocities, said[..., 6:], features)
+        return Look(positions, ground, measures, centres, velocities, spins, features)
 
 
 def _attended(values: Tensor, seen: tuple[int, int]) -> Tensor:

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from rollcast.camera import BOWL_HALF_WIDTH_M
-from training.models.eye import Eye, full_precision, of_each, sampled
+from training.models.eye import Eye, full_precision, of_each, radius_of, sampled
 from training.models.predictor import (
     ANGULAR_VELOCITY_UNIT,
     Family,
@@ -61,8 +60,7 @@ class Ball(NamedTuple):
     @property
     def radius(self) -> Tensor:
         """[..., 1], halves of the frame."""
-        scale, radius = self.measures.split(1, dim=-1)
-        return (radius / 5) / (BOWL_HALF_WIDTH_M + scale / 5)
+        return radius_of(self.measures)
 
 
 class Encounters(nn.Module):
@@ -123,7 +121,7 @@ class Rolling(nn.Module):
         felt = self._felt(ball, ground_B3GG)
         change = of_each(self.change, of_each(self.layers, felt)) + of_each(self.linear, felt)
         moved, pushed, turned = change.split(3, dim=-1)
-        doubting = torch.cat([felt, ball.doubt], dim=-1).detach()
+        doubting = torch.cat([ball.doubt, felt], dim=-1).detach()
         doubt = ball.doubt + of_each(self.doubt, doubting)
         return Ball(
             (ball.centre + ball.velocity + 0.1 * moved).clamp(-FARTHEST, FARTHEST),
