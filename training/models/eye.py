@@ -154,7 +154,7 @@ class FirstLook(nn.Module):
     def forward(self, frames_BKHW3: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Positions [B, N, K, 2], ground [B, 3, 32, 32] and measures [B, 2]."""
         image = normalised_frames(frames_BKHW3)
-        image = torch.cat([image, self.place.expand(len(image), -1, -1, -1)], dim=1)
+        image = torch.cat([image, self.place.expand(image.shape[0], -1, -1, -1)], dim=1)
         image = image.contiguous(memory_format=torch.channels_last)
         at_32 = self.stem(image)
         at_16 = self.down_16(at_32)
