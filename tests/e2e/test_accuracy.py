@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from rollcast.client import Simulation
+from rollcast.scene import SCENARIOS
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.splits import seeds
 
@@ -10,23 +12,40 @@ SCENES = 60
 HORIZON = 20
 
 
-@pytest.mark.parametrize(
-    ("scenario", "limit_10", "limit_20"),
-    [("hemisphere", 4, 8), ("ellipsoid", 4, 8), ("heightfield", 6, 12)],
-)
-def test_posnet_keeps_its_promise_on_test_scenes(client, scenario, limit_10, limit_20):
-    distances = np.array(
-        [posnet_distances(client, scenario, seed) for seed in seeds("test", SCENES)]
-    )
+@pytest.fixture(scope="module", params=SCENARIOS)
+def scenes(request, client) -> tuple[str, list[Simulation]]:
+    scenario = request.param
+    steps = FIRST_FORECAST_FRAME + HORIZON
+    return scenario, [
+        client.simulate(scenario, seed=seed, steps=steps) for seed in seeds("test", SCENES)
+    ]
+
+
+LIMITS_PX = {
+    ("posnet", "hemisphere"): (4, 8),
+    ("posnet", "ellipsoid"): (4, 8),
+    ("posnet", "heightfield"): (6, 12),
+    ("auto", "hemisphere"): (2, 4),
+    ("auto", "ellipsoid"): (2, 4),
+    ("auto", "heightfield"): (4, 9),
+}
+"""Mean distances at T=10 and T=20 that a model keeps on these scenes."""
+
+
+@pytest.mark.parametrize("model", ["posnet", "auto"])
+def test_forecasts_keep_their_promise_on_test_scenes(client, scenes, model):
+    scenario, simulations = scenes
+    distances = np.array([distances_px(client, simulation, model) for simulation in simulations])
     error_10, error_20 = distances[:, 9].mean(), distances[:, 19].mean()
-    print(f"{scenario}: {error_10:.2f} px at T=10, {error_20:.2f} px at T=20")
+    print(f"{model}, {scenario}: {error_10:.2f} px at T=10, {error_20:.2f} px at T=20")
+    limit_10, limit_20 = LIMITS_PX[model, scenario]
     assert error_10 <= limit_10
     assert error_20 <= limit_20
 
 
-def posnet_distances(client, scenario: str, seed: int) -> np.ndarray:
+def distances_px(client, simulation: Simulation, model: str) -> np.ndarray:
     """Distance between forecast and truth at every step, in 128-pixel units."""
-    sequence = client.simulate(scenario, seed=seed, steps=FIRST_FORECAST_FRAME + HORIZON)
-    forecast = client.predict(sequence.frames[:OBSERVED_FRAMES], horizon=HORIZON, model="posnet")
-    difference = forecast.positions[0] - sequence.positions[0, FIRST_FORECAST_FRAME:]
+    seen = simulation.frames[:OBSERVED_FRAMES]
+    forecast = client.predict(seen, horizon=HORIZON, model=model)
+    difference = forecast.positions[0] - simulation.positions[0, FIRST_FORECAST_FRAME:]
     return np.linalg.norm(difference, axis=-1)
