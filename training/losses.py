@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from training.models.blocks import PIXEL_UNIT
+from training.models.eye import sampled
 from training.models.predictor import ANGULAR_VELOCITY_UNIT, Observation, Reading
 
 
@@ -155,6 +156,7 @@ class ReadingLoss:
     height = 0.5
     velocity = 3.0
     ground = 15.0
+    way = 30.0
     measures = 2.0
     rounding = 0.1
 
@@ -172,7 +174,15 @@ class ReadingLoss:
         known = ~ground.isnan()
         unlike = torch.where(known, reading.ground - ground.nan_to_num(), 0.0).abs()
         loss = loss + self.ground * unlike.sum(dim=1).mean()
+        loss = loss + self.way * self._along_the_way(reading.ground, ground, centres)
         return loss + self.measures * (reading.measures - measures).abs().mean()
+
+    def _along_the_way(self, read: Tensor, ground: Tensor, centres: Tensor) -> Tensor:
+        """Mean error of the ground where the balls will be: more than elsewhere depends on it."""
+        known = (~ground.isnan()).float()
+        points = centres[..., :2]
+        unlike = sampled(read, points) - sampled(ground.nan_to_num(), points)
+        return (unlike.abs() * (sampled(known, points) > 0.999)).sum(dim=-1).mean()
 
     def _pixels(self, difference: Tensor) -> Tensor:
         return smooth_distance(PIXEL_UNIT * difference, self.rounding).mean()

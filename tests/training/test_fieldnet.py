@@ -182,6 +182,20 @@ def test_a_perfect_reading_costs_nothing():
         assert float(loss(worse, (centres, unknown, measures))) > 0.1
 
 
+def test_the_ground_counts_most_where_the_balls_will_be():
+    centres = torch.zeros(1, 1, 9, 3)
+    centres[..., :2] = torch.linspace(-0.5, 0.5, 9)[:, None]
+    ground = torch.zeros(1, 3, 32, 32)
+    seen, now = centres[:, :, :4, :2], centres[:, :, 3]
+    costs = []
+    for row, column in ((16, 16), (2, 28)):
+        read = ground.clone()
+        read[0, 2, row - 1 : row + 1, column - 1 : column + 1] = 0.1
+        reading = Reading((seen,) * 3, read, torch.zeros(1, 2), now, now - centres[:, :, 2])
+        costs.append(float(ReadingLoss()(reading, (centres, ground, torch.zeros(1, 2)))))
+    assert costs[0] > 2 * costs[1] > 0
+
+
 def test_perfect_motion_costs_nothing():
     truth = torch.randn(2, 1, 6, 3)
     loss = MotionLoss(halving=8)
