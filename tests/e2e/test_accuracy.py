@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rollcast.client import Simulation
+from rollcast.client import Client, Simulation
 from rollcast.scene import SCENARIOS
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.splits import seeds
@@ -13,12 +13,13 @@ HORIZON = 20
 
 
 @pytest.fixture(scope="module", params=SCENARIOS)
-def scenes(request, client) -> tuple[str, list[Simulation]]:
+def scenes(request, address) -> tuple[str, list[Simulation]]:
     scenario = request.param
     steps = FIRST_FORECAST_FRAME + HORIZON
-    return scenario, [
-        client.simulate(scenario, seed=seed, steps=steps) for seed in seeds("test", SCENES)
-    ]
+    with Client(address) as client:
+        return scenario, [
+            client.simulate(scenario, seed=seed, steps=steps) for seed in seeds("test", SCENES)
+        ]
 
 
 LIMITS_PX = {
