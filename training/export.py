@@ -283,6 +283,7 @@ def _write_graph(
         _rename(model.graph, initialiser.name, initialiser.name.removeprefix(_OWN_PREFIX))
         initialiser.name = initialiser.name.removeprefix(_OWN_PREFIX)
     _store_in_halves(model.graph)
+    drop_traces(model.graph)
     onnx.checker.check_model(model)
     onnx.save(model, path)
 
@@ -312,6 +313,14 @@ def _store_in_halves(graph: onnx.GraphProto) -> None:
         initialiser.CopyFrom(numpy_helper.from_array(half, name))
         cast = onnx.helper.make_node("Cast", [name], [f"{name}/float32"], to=onnx.TensorProto.FLOAT)
         graph.node.insert(0, cast)
+
+
+def drop_traces(graph: onnx.GraphProto) -> None:
+    """Drop the exporter's stack traces: paths of this machine, and other bytes in every export."""
+    parts = (graph.node, graph.initializer, graph.value_info, graph.input, graph.output)
+    for part in (graph, *(one for of_kind in parts for one in of_kind)):
+        del part.metadata_props[:]
+        part.doc_string = ""
 
 
 def round_to_halves(module: torch.nn.Module) -> None:

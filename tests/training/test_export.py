@@ -1,18 +1,22 @@
 """Export of an untrained network: what is proved does not depend on how good it is."""
 
+from pathlib import Path
+
 import numpy as np
 import onnx
 import onnxruntime
 import pytest
 import torch
 
-from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, Manifest
+from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, STEP_FILE, Manifest
 from tests.training.conftest import tiny
 from training.artefact import load_exported, read_initial, read_parameters
 from training.evaluate import evaluation_sets
 from training.export import Trained, export, measure_parity
 from training.recipes import field_one_ball, one_ball, one_ball_between
 from training.trainer import load_fitting
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module", params=["posnet", "probnet", "interpnet", "fieldnet"])
@@ -77,6 +81,12 @@ def test_an_eye_is_stored_in_halves(exported):
     halved = name == "fieldnet"
     expected = onnx.TensorProto.FLOAT16 if halved else onnx.TensorProto.FLOAT
     assert stored[large].data_type == expected
+
+
+def test_graphs_tell_nothing_of_the_machine(exported):
+    _, _, _, folder, _ = exported
+    for file in (ENCODER_FILE, STEP_FILE):
+        assert str(ROOT).encode() not in (folder / file).read_bytes()
 
 
 def test_any_batch_size_runs(exported):
