@@ -13,10 +13,11 @@ import torch
 from jaxtyping import Float, UInt8
 from torch.utils.data import IterableDataset
 
-from rollcast.camera import BOWL_HALF_WIDTH_M, NETWORK_FRAME_SIZE, camera_for
+from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.simulation.recording import TEST_START
 from rollcast.simulation.rendering import Renderer
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+from training.models.eye import measures_of
 from training.simulate import STORED_FRAMES, Recording
 from training.survey import Survey
 
@@ -51,7 +52,7 @@ class Scenery(NamedTuple):
     ground: Float[np.ndarray, "3 cells cells"]
     """See :func:`training.ground.resting_ground`."""
     measures: Float[np.ndarray, "2"]
-    """See :class:`training.models.fieldnet.Ball`."""
+    """See :func:`training.models.eye.measures_of`."""
 
 
 class Window(NamedTuple):
@@ -116,11 +117,6 @@ class Symmetry:
         return Scenery(centres, ground, scenery.measures)
 
 
-def measures(half_width_m: float, radius_m: float) -> Float[np.ndarray, "2"]:
-    """Constants of a scene as :class:`training.models.fieldnet.Ball` counts them."""
-    return np.array([5 * (half_width_m - BOWL_HALF_WIDTH_M), 5 * radius_m])
-
-
 class WindowMaker:
     """Cuts and renders windows; keeps the shaded background of every scene it has seen.
 
@@ -179,7 +175,7 @@ class WindowMaker:
         half_width = camera_for(scene.scenario, NETWORK_FRAME_SIZE).half_width_m
         centres = trajectory.window(start, FIRST_FORECAST_FRAME + horizon).positions_m
         centres = centres.swapaxes(0, 1) * (np.array([1, -1, 1]) / half_width)
-        return Scenery(centres, self._grounds[index], measures(half_width, scene.radius_m))
+        return Scenery(centres, self._grounds[index], measures_of(half_width, scene.radius_m))
 
 
 class TrainingStream(IterableDataset[Batch]):

@@ -8,13 +8,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from rollcast.simulation.recording import TEST_START
-from rollcast.trajectory import FIRST_FORECAST_FRAME
+from rollcast.trajectory import OBSERVED_FRAMES
 from training.dataset import WindowMaker, collate, compared_horizon, generated_horizon
-from training.models.fieldnet import Ball, FieldNet
-from training.models.predictor import ANGULAR_VELOCITY_UNIT, State
+from training.models.fieldnet import Ball, FieldNet, true_state
+from training.models.predictor import State
 from training.simulate import Source, load_recordings, simulate_split
 from training.survey import survey
 
@@ -43,24 +42,13 @@ def dissected(
     centres, ground, measures = batch["scenery"]
     with torch.inference_mode():
         seen = network.start(batch["frames"])
-        truth = _true_state(centres, ground, measures, batch["angular_velocities"][:, :, 0])
+        spins = batch["angular_velocities"][:, :, 0]
+        truth = true_state(centres[:, :, :OBSERVED_FRAMES], spins, ground, measures)
         errors: dict[str, np.ndarray] = {}
         for name, parts in SUBSTITUTES.items():
             rolled = network.roll_out(_mixed(seen, truth, parts), horizon).positions
             errors[name] = (rolled - batch["positions"]).norm(dim=-1).mean(dim=(0, 1)).numpy()
     return errors
-
-
-def _true_state(
-    centres_BNK3: Tensor, ground_B3GG: Tensor, measures_B2: Tensor, spins_BN3: Tensor
-) -> State:
-    """State at t = 0. The velocity is the last displacement, which an impact makes wrong."""
-    now = centres_BNK3[:, :, FIRST_FORECAST_FRAME]
-    before = centres_BNK3[:, :, FIRST_FORECAST_FRAME - 1]
-    measures = measures_B2[:, None].expand(-1, now.shape[1], -1)
-    spins = spins_BN3 / ANGULAR_VELOCITY_UNIT
-    ball = Ball(now, now - before, spins, torch.zeros_like(now), measures)
-    return State(ground_B3GG.nan_to_num(), ball.packed())
 
 
 def _mixed(seen: State, truth: State, parts: Sequence[str]) -> State:

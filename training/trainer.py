@@ -18,7 +18,7 @@ from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.dataset import Batch, TrainingStream, Window, compared_horizon, fixed_windows
 from training.losses import final_loss
 from training.metrics import forecast
-from training.models.fieldnet import FieldNet
+from training.models.fieldnet import FieldNet, true_state
 from training.models.predictor import Family, Network, Observation, in_float32
 from training.recipes import Explicit, Milestone, Recipe
 from training.simulate import Source, load_recordings, simulate_split
@@ -204,10 +204,8 @@ class Trainer:
         centres, ground, measures = self._scenery(practice)
         horizon = horizon_at(explicit.curriculum, spent)
         spins = practice["angular_velocities"][:, :, :horizon].to(self.device)
-        observed = centres[:, :, :OBSERVED_FRAMES]
-        moved, turned = network.practise(
-            observed, spins[:, :, 0], (ground.nan_to_num(), measures), horizon
-        )
+        start = true_state(centres[:, :, :OBSERVED_FRAMES], spins[:, :, 0], ground, measures)
+        moved, turned = network.practise(start, horizon)
         truth = centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
         turning = Observation(moved[..., :2], None, turned)
         return loss + explicit.motion(moved, truth) + self.recipe.spin_loss(turning, spins)

@@ -8,6 +8,7 @@ from training.models.eye import (
     PATCH_HALF_WIDTH,
     CloserLook,
     Eye,
+    radius_of,
     rise_along,
     rolling_spin,
     sampled,
@@ -146,6 +147,9 @@ def test_an_untaught_eye_takes_balls_to_be_rolling():
     exact = look.seen_positions[-1]
     torch.testing.assert_close(look.velocities[..., :2], exact[:, :, 3] - exact[:, :, 2])
     torch.testing.assert_close(look.centres[..., :2], exact[:, :, 3])
+    lean = sampled(look.ground, exact[:, :, 3:])[:, :, 0, :2]
+    rolling = rolling_spin(lean, look.velocities, radius_of(look.measures[:, None]))
+    torch.testing.assert_close(look.spins, rolling)
 
 
 def test_a_closer_look_sees_its_own_patch_alone():
@@ -172,7 +176,9 @@ def test_a_perfect_reading_costs_nothing():
     ground, measures = torch.randn(3, 3, 32, 32), torch.randn(3, 2)
     seen, now = centres[:, :, :4, :2], centres[:, :, 3]
     velocities = now - centres[:, :, 2]
-    perfect = Reading((seen, seen, seen), ground, measures, now, velocities)
+    unused = torch.zeros(3, 1, 3)
+    looks = (seen, seen, seen)
+    perfect = Reading(looks, ground, measures, now, velocities, unused, unused)
     unknown = ground.clone()
     unknown[:, :, :4] = torch.nan
     loss = ReadingLoss()
@@ -191,7 +197,9 @@ def test_the_ground_counts_most_where_the_balls_will_be():
     for row, column in ((16, 16), (2, 28)):
         read = ground.clone()
         read[0, 2, row - 1 : row + 1, column - 1 : column + 1] = 0.1
-        reading = Reading((seen,) * 3, read, torch.zeros(1, 2), now, now - centres[:, :, 2])
+        velocities, unused = now - centres[:, :, 2], torch.zeros(1, 1, 3)
+        looks, measures = (seen,) * 3, torch.zeros(1, 2)
+        reading = Reading(looks, read, measures, now, velocities, unused, unused)
         costs.append(float(ReadingLoss()(reading, (centres, ground, torch.zeros(1, 2)))))
     assert costs[0] > 2 * costs[1] > 0
 

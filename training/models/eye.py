@@ -9,16 +9,20 @@ frames. Shape suffixes as in ``blocks.py``.
 """
 
 from contextlib import AbstractContextManager, nullcontext
-from typing import NamedTuple
 
+import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
 from rollcast.camera import BOWL_HALF_WIDTH_M, NETWORK_FRAME_SIZE
 from rollcast.trajectory import FRAME_RATE_HZ
 from training.models.blocks import PIXEL_UNIT, ResidualConv, normalised_frames
-from training.models.predictor import ANGULAR_VELOCITY_UNIT
+from training.models.predictor import ANGULAR_VELOCITY_UNIT, Reading
+
+FEATURES = 128
+"""Numbers that the closest look says of every ball besides its positions."""
 
 PATCH = 32
 """Samples a side of a closer look."""
@@ -36,25 +40,6 @@ SAMPLE_AHEAD = (0.0, 0.5, 1.0)
 """Frames ahead at which the ground is felt for the first velocity."""
 
 
-class Look(NamedTuple):
-    """What the eye says of the seen frames."""
-
-    seen_positions: tuple[Tensor, ...]
-    """[B, N, K, 2], from the first look to the closest."""
-    ground: Tensor
-    """[B, 3, G, G]."""
-    measures: Tensor
-    """[B, 2]."""
-    centres: Tensor
-    """[B, N, 3] at t = 0."""
-    velocities: Tensor
-    """[B, N, 3] at t = 0."""
-    spins: Tensor
-    """[B, N, 3] at t = 0, units of 20 rad/s, world axes."""
-    features: Tensor
-    """[B, N, features] of the closest look."""
-
-
 def full_precision(device: torch.device) -> AbstractContextManager[object]:
     """Leave autocast: a rollout adds small changes, which bfloat16 would round away."""
     if torch.is_autocast_enabled(device.type):
@@ -70,8 +55,13 @@ def of_each(module: nn.Module, x: Tensor) -> Tensor:
     return module(x.flatten(0, -2)).unflatten(0, x.shape[:-1])
 
 
+def measures_of(half_width_m: float, radius_m: float) -> Float[np.ndarray, "2"]:
+    """Constants of a scene, of a size that networks read easily; zero for a bowl's frame."""
+    return np.array([5 * (half_width_m - BOWL_HALF_WIDTH_M), 5 * radius_m])
+
+
 def radius_of(measures: Tensor) -> Tensor:
-    """Ball radius [..., 1] in halves of the frame (:class:`training.models.fieldnet.Ball`)."""
+    """Ball radius [..., 1] in halves of the frame, from what :func:`measures_of` made."""
     scale, radius = measures.split(1, dim=-1)
     return (radius / 5) / (BOWL_HALF_WIDTH_M + scale / 5)
 
@@ -122,9 +112,9 @@ class FirstLook(nn.Module):
 
     place: Tensor
 
-    def __init__(self, frames: int, objects: int, widths: tuple[int, int, int]) -> None:
+    def __init__(self, frames: int, objects: int) -> None:
         super().__init__()
-        fine, middle, coarse = widths
+        fine, middle, coarse = 48, 96, 128
         self.seen = (objects, frames)
         along = (torch.arange(NETWORK_FRAME_SIZE) + 0.5) / PIXEL_UNIT - 1
         y, x = torch.meshgrid(along, along, indexing="ij")
@@ -181,7 +171,6 @@ class CloserLook(nn.Module):
 
     def __init__(self, frames: int, features: int) -> None:
         super().__init__()
-        self.frames = frames
         self.layers = nn.Sequential(
             nn.Conv2d(3 * frames, 64, 5, stride=2, padding=2),
             ResidualConv(64, 64),
@@ -229,17 +218,16 @@ class Eye(nn.Module):
     Rise and spin are read as what differs from rolling along the ground without slipping.
     """
 
-    def __init__(self, frames: int, objects: int, widths: tuple[int, int, int] = (48, 96, 128)):
+    def __init__(self, frames: int, objects: int) -> None:
         super().__init__()
-        features = 128
-        self.first = FirstLook(frames, objects, widths)
-        self.closer = CloserLook(frames, features)
-        seen = features + 2 * (frames - 1) + 2 + 3 * len(SAMPLE_AHEAD) + 2 + 4
+        self.first = FirstLook(frames, objects)
+        self.closer = CloserLook(frames, FEATURES)
+        seen = FEATURES + 2 * (frames - 1) + 2 + 3 * len(SAMPLE_AHEAD) + 2 + 4
         self.state = nn.Sequential(
             nn.Linear(seen, 192), nn.SiLU(), nn.Linear(192, 192), nn.SiLU(), nn.Linear(192, 9)
         )
 
-    def forward(self, frames_BKHW3: Tensor) -> Look:
+    def forward(self, frames_BKHW3: Tensor) -> Reading:
         """Look at frames uint8 [B, K, 128, 128, 3]."""
         rough, ground, measures = self.first(frames_BKHW3)
         images = frames_BKHW3.permute(0, 1, 4, 2, 3).float() / 127.5 - 1
@@ -262,7 +250,7 @@ class Eye(nn.Module):
             velocities = moving + torch.cat([flat, 0.1 * said[..., 5:6]], dim=-1)
             spins = rolling + said[..., 6:]
         positions = (rough, near, exact)
-        return Look(positions, ground, measures, centres, velocities, spins, features)
+        return Reading(positions, ground, measures, centres, velocities, spins, features)
 
 
 def _attended(values: Tensor, seen: tuple[int, int]) -> Tensor:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from training.models.eye import Eye, full_precision, of_each, radius_of, sampled
+from training.models.eye import FEATURES, Eye, full_precision, of_each, radius_of, sampled
 from training.models.predictor import (
     ANGULAR_VELOCITY_UNIT,
     Family,
@@ -45,8 +45,7 @@ class Ball(NamedTuple):
     doubt: Tensor
     """[..., 3] (beta_1, beta_2, theta) of the position's Gaussian (paper, section 3.3)."""
     measures: Tensor
-    """[..., 2] constants of the scene: 5 x (metres in half the frame - a bowl's) and 5 x the
-    balls' radius in metres."""
+    """[..., 2] constants of the scene, see :func:`training.models.eye.measures_of`."""
 
     @classmethod
     def unpacked(cls, p: Tensor) -> "Ball":
@@ -99,8 +98,9 @@ class Rolling(nn.Module):
     far the ball would get beyond the frame's border, where heightfields have elastic walls.
     """
 
-    def __init__(self, hidden: int, encounters: Encounters | None) -> None:
+    def __init__(self, encounters: Encounters | None) -> None:
         super().__init__()
+        hidden = 256
         self.encounters = encounters
         felt = 3 * 3 + 3 * 2 + 5 * len(AHEAD) + 2 + (MESSAGE if encounters else 0)
         self.layers = nn.Sequential(
@@ -163,14 +163,14 @@ class FieldNet(Network):
         When more than the four observed frames are asked for.
     """
 
-    def __init__(self, frames: int, objects: int, *, interaction: bool, hidden: int = 256) -> None:
+    def __init__(self, frames: int, objects: int, *, interaction: bool) -> None:
         super().__init__()
         if frames != 4:
             raise ValueError(f"fieldnet sees four frames, not {frames}")
         self.eye = Eye(frames, objects)
         met = Encounters() if interaction and objects > 1 else None
-        self.rolling = Rolling(hidden, met)
-        self.first_doubt = nn.Linear(128, 3)
+        self.rolling = Rolling(met)
+        self.first_doubt = nn.Linear(FEATURES, 3)
         nn.init.zeros_(self.first_doubt.weight)
         with torch.no_grad():
             self.first_doubt.bias[:] = torch.tensor(
@@ -183,15 +183,12 @@ class FieldNet(Network):
         return self._look(frames_BKHW3)[0]
 
     def _look(self, frames_BKHW3: Tensor) -> tuple[State, Reading]:
-        look = self.eye(frames_BKHW3)
-        with full_precision(look.ground.device):
-            doubt = of_each(self.first_doubt, look.features.detach())
-        measures = look.measures[:, None].expand(-1, look.centres.shape[1], -1)
-        ball = Ball(look.centres, look.velocities, look.spins, doubt, measures)
-        reading = Reading(
-            look.seen_positions, look.ground, look.measures, look.centres, look.velocities
-        )
-        return State(look.ground, ball.packed()), reading
+        reading: Reading = self.eye(frames_BKHW3)
+        with full_precision(reading.ground.device):
+            doubt = of_each(self.first_doubt, reading.features.detach())
+        measures = reading.measures[:, None].expand(-1, reading.centres.shape[1], -1)
+        ball = Ball(reading.centres, reading.velocities, reading.spins, doubt, measures)
+        return State(reading.ground, ball.packed()), reading
 
     def advance(self, state: State) -> State:
         """h_{t+1} from h_t."""
@@ -209,37 +206,35 @@ class FieldNet(Network):
         with full_precision(state.s.device):
             return self.roll_out(state, horizon)._replace(reading=reading)
 
-    def practise(
-        self, centres_BNK3: Tensor, spins_BN3: Tensor, scenery: tuple[Tensor, Tensor], horizon: int
-    ) -> tuple[Tensor, Tensor]:
-        """Roll from true states, without the eye.
-
-        Parameters
-        ----------
-        centres_BNK3
-            Centres in the seen frames.
-        spins_BN3
-            Angular velocities at t = 0, rad/s.
-        scenery
-            Ground [B, 3, G, G] and measures [B, 2].
-
-        Returns
-        -------
-        Centres [B, N, T, 3] and angular velocities [B, N, T, 3] in rad/s.
-        """
-        ground, measures = scenery
-        now, before = centres_BNK3[:, :, -1], centres_BNK3[:, :, -2]
-        doubt = self.first_doubt.bias.expand_as(now)
-        ball = Ball(
-            now, now - before, spins_BN3 / ANGULAR_VELOCITY_UNIT, doubt,
-            measures[:, None].expand(-1, now.shape[1], -1),
-        )  # fmt: skip
-        balls = [ball]
+    def practise(self, state: State, horizon: int) -> tuple[Tensor, Tensor]:
+        """Centres [B, N, T, 3] and angular velocities [B, N, T, 3] in rad/s from a state on."""
+        balls = [Ball.unpacked(state.p)]
         for _ in range(horizon - 1):
-            balls.append(self.rolling(balls[-1], ground))
+            balls.append(self.rolling(balls[-1], state.s))
         centres = torch.stack([ball.centre for ball in balls], dim=2)
         spins = torch.stack([ball.spin for ball in balls], dim=2)
         return centres, ANGULAR_VELOCITY_UNIT * spins
+
+
+def true_state(
+    centres_BNK3: Tensor, spins_BN3: Tensor, ground_B3GG: Tensor, measures_B2: Tensor
+) -> State:
+    """State at t = 0 from the truth. An impact makes its velocity, the last displacement, wrong.
+
+    Parameters
+    ----------
+    centres_BNK3
+        Centres in the seen frames.
+    spins_BN3
+        Angular velocities at t = 0, rad/s.
+    ground_B3GG
+        NaN where no ball can rest.
+    """
+    now, before = centres_BNK3[:, :, -1], centres_BNK3[:, :, -2]
+    measures = measures_B2[:, None].expand(-1, now.shape[1], -1)
+    spins = spins_BN3 / ANGULAR_VELOCITY_UNIT
+    ball = Ball(now, now - before, spins, torch.zeros_like(now), measures)
+    return State(ground_B3GG.nan_to_num(), ball.packed())
 
 
 def field_family(

@@ -28,7 +28,7 @@ class State(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """What a network with an explicit state reads from the frames, for its training alone.
+    """What an eye reads from the frames (``eye.py``); a forecast carries it for its loss alone.
 
     Halves of the frame in image axes (x right, y down, z towards the camera); rad/s / 20.
     """
@@ -38,11 +38,15 @@ class Reading(NamedTuple):
     ground: Tensor
     """[B, 3, G, G]: where a ball's centre can rest, see :class:`training.ground.Ground`."""
     measures: Tensor
-    """[B, 2]: see :class:`training.models.fieldnet.Ball`."""
+    """[B, 2]: see :func:`training.models.eye.measures_of`."""
     centres: Tensor
     """[B, N, 3] at t = 0."""
     velocities: Tensor
     """[B, N, 3] at t = 0, a frame."""
+    spins: Tensor
+    """[B, N, 3] at t = 0, world axes."""
+    features: Tensor
+    """[B, N, features]: what else the closest look shows."""
 
 
 class Observation(NamedTuple):
@@ -255,11 +259,7 @@ class Family(nn.Module):
 
     def networks(self) -> dict[str, Network]:
         """Return the members by name."""
-        members: dict[str, Network] = {}
-        for name, member in self.members.items():
-            assert isinstance(member, Network)
-            members[name] = member
-        return members
+        return {n: one for n, one in self.members.items() if isinstance(one, Network)}
 
     def shared_parameters(self) -> list[nn.Parameter]:
         """Return the parameters that all members share: none."""
@@ -294,11 +294,7 @@ class SharedStateFamily(Family):
 
     def predictors(self) -> dict[str, Predictor]:
         """Return the members by name."""
-        members: dict[str, Predictor] = {}
-        for name, member in self.members.items():
-            assert isinstance(member, Predictor)
-            members[name] = member
-        return members
+        return {n: one for n, one in self.networks().items() if isinstance(one, Predictor)}
 
     def shared_parameters(self) -> list[nn.Parameter]:
         """Return what all members share: parameters of encoder, transition and spin read-out."""
