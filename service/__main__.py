@@ -8,40 +8,40 @@ import sys
 def main() -> int:
     """Serve until stopped; return the exit code."""
     # Imported here because the process that simulates imports this module again.
-    import uvicorn
     from pydantic import ValidationError
 
-    from service.app import create_app
-    from service.settings import Settings
+    from service.server import serve
+    from service.settings import Settings, described
 
-    arguments = _parser().parse_args()
+    arguments = _parser(described()).parse_args()
     host, port = arguments.host, arguments.port
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        app = create_app(Settings())
+        settings = Settings()
     except ValidationError as error:
         faults = [(*fault["loc"], fault["msg"]) for fault in error.errors()]
         return _fail("; ".join(": ".join(map(str, fault)) for fault in faults))
+    except ValueError as error:
+        return _fail(str(error))
     try:
         listener = socket.create_server((host, port), family=family)
     except OSError as error:
         reason = str(error.strerror).partition(" (")[0]
         return _fail(f"cannot listen on {host}:{port}: {reason}; --port takes another one")
     with listener:
-        # Inherited by every connection; asyncio leaves it out for a listener that it has not made,
-        # and answers then wait 40 ms for an acknowledgement.
-        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         port = listener.getsockname()[1]
         print(f"Rollcast listens on http://{host}:{port} (documentation: /docs)", flush=True)
-        uvicorn.Server(uvicorn.Config(app)).run(sockets=[listener])
+        serve(settings, listener)
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(settings: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m service",
-        description="Serve the models of this checkout. Settings are environment variables "
-        "ROLLCAST_NAME, described in service/settings.py.",
+        description="Serve the models of this checkout.",
+        epilog="settings are environment variables, or the same names in lower case and without\n"
+        "ROLLCAST_ in the TOML file that ROLLCAST_SETTINGS_FILE names:\n\n" + settings,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "--host",

@@ -1,27 +1,36 @@
 """The app, made from its settings; its lifespan owns models and processes."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
-from pathlib import Path
 
 from fastapi import FastAPI
 from fastapi_offline import FastAPIOffline
 
 from rollcast.http import API_VERSION
-from service.loading import load_registry
+from service.loading import Loader, load_registry
+from service.logs import install_request_ids
+from service.metrics import Metrics
 from service.openapi import install_openapi
 from service.problems import install_problem_handlers
-from service.registry import Registry
-from service.routes import health, home, inference, models, predict, simulate
+from service.routes import (
+    health,
+    home,
+    inference,
+    metrics,
+    models,
+    predict,
+    repository,
+    simulate,
+)
 from service.settings import Settings
 from service.simulations import RecycledProcess
 from service.state import State
 from service.workers import Workers
 
 
-def create_app(settings: Settings, load: Callable[[Path], Registry] = load_registry) -> FastAPI:
+def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
     """Make the service.
 
     Parameters
@@ -31,6 +40,7 @@ def create_app(settings: Settings, load: Callable[[Path], Registry] = load_regis
     load
         Loads the models of a folder, off the event loop.
     """
+    figures = Metrics()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
@@ -39,13 +49,18 @@ def create_app(settings: Settings, load: Callable[[Path], Registry] = load_regis
             inference=Workers(
                 ThreadPoolExecutor(settings.inference_threads, "inference"),
                 settings.inference_threads + settings.inference_queue,
+                figures.held.labels("inference"),
             ),
             simulation=Workers(
-                RecycledProcess(settings.simulation_recycle), 1 + settings.simulation_queue
+                RecycledProcess(settings.simulation_recycle),
+                1 + settings.simulation_queue,
+                figures.held.labels("simulation"),
             ),
+            metrics=figures,
+            load=load,
         )
         app.state.service = state
-        loading = asyncio.create_task(_load(state, load))
+        loading = asyncio.create_task(_load(state))
         yield
         state.phase = "draining"
         loading.cancel()
@@ -64,12 +79,14 @@ def create_app(settings: Settings, load: Callable[[Path], Registry] = load_regis
     )
     install_problem_handlers(app)
     install_openapi(app)
-    for feature in (predict, simulate, models, inference, health, home):
+    figures.watch_requests(app)
+    install_request_ids(app)
+    for feature in (predict, simulate, models, inference, repository, health, metrics, home):
         app.include_router(feature.router)
     return app
 
 
-async def _load(state: State, load: Callable[[Path], Registry]) -> None:
+async def _load(state: State) -> None:
     """Load the models while the service already answers that it does so."""
-    state.registry = await asyncio.to_thread(load, state.settings.models_dir)
+    state.serve(await asyncio.to_thread(state.load, state.settings.models_dir))
     state.phase = "serving"

@@ -133,7 +133,6 @@ class _Rollout:
     def summary(self, final_positions: np.ndarray | None) -> ForecastSummary:
         """Tell all that is no step; called at the end, for it takes the time."""
         manifest = self.predictor.manifest
-        now = time.perf_counter()
         return ForecastSummary(
             model=ModelReference(
                 name=manifest.name,
@@ -145,13 +144,19 @@ class _Rollout:
             frame_rate=self.request.frame_rate,
             final_positions=None if final_positions is None else final_positions[0].tolist(),
             warnings=_warnings(self.request, manifest, self.horizon),
-            timing_ms=PredictTiming(
-                decode=1e3 * (self.decoded - self.started),
-                encode=1e3 * (self.encoded - self.decoded),
-                rollout=1e3 * (now - self.encoded),
-                total=1e3 * (now - self.started),
-            ),
+            timing_ms=timing(self.started, self.decoded, self.encoded),
         )
+
+
+def timing(started: float, decoded: float, encoded: float) -> PredictTiming:
+    """Return the time of every stage of a rollout that has just ended, from its moments."""
+    now = time.perf_counter()
+    return PredictTiming(
+        decode=1e3 * (decoded - started),
+        encode=1e3 * (encoded - decoded),
+        rollout=1e3 * (now - encoded),
+        total=1e3 * (now - started),
+    )
 
 
 def _begin(request: PredictRequest, registry: Registry, patience: Patience) -> _Rollout:

@@ -4,6 +4,7 @@ import hashlib
 import logging
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from pydantic import ValidationError
@@ -28,18 +29,31 @@ class ArtefactError(Exception):
     """An artefact must not be served; the message says why."""
 
 
-def load_registry(models_dir: Path, open_predictor: PredictorFactory = OnnxPredictor) -> Registry:
+class Loader(Protocol):
+    """Loads the models of a folder, all or those of one name."""
+
+    def __call__(self, models_dir: Path, name: str | None = None) -> Registry:
+        """Load them."""
+        ...
+
+
+def load_registry(
+    models_dir: Path, name: str | None = None, open_predictor: PredictorFactory = OnnxPredictor
+) -> Registry:
     """Load every ``NAME/VERSION`` under a folder; one that is refused does not stop the others.
 
     Parameters
     ----------
     models_dir
         Folder of the artefacts.
+    name
+        Only versions of this model; None loads all.
     open_predictor
         Opens the graphs of one artefact.
     """
     folders = sorted(path for path in models_dir.glob("*/*") if path.name.isdecimal())
-    return Registry([_load(folder, open_predictor) for folder in folders])
+    wanted = [folder for folder in folders if name in (None, folder.parent.name)]
+    return Registry([_load(folder, open_predictor) for folder in wanted])
 
 
 def _load(folder: Path, open_predictor: PredictorFactory) -> Model:

@@ -25,6 +25,7 @@ from service.errors import (
     QueueFullError,
     ServiceError,
 )
+from service.logs import REQUEST_ID_HEADER, request_id
 from service.protocol import InferError
 
 MEDIA_TYPE = "application/problem+json"
@@ -87,6 +88,7 @@ def _answer(request: Request, error: Exception) -> Response:
     headers: dict[str, str] = {}
     match error:
         case ServiceError():
+            request.app.state.service.metrics.refusal(error.slug)
             problem = _refusal(error)
             if isinstance(error, QueueFullError | NotReadyError | ModelUnavailableError):
                 headers["Retry-After"] = str(request.app.state.service.settings.retry_after_s)
@@ -103,6 +105,9 @@ def _answer(request: Request, error: Exception) -> Response:
                 status=500,
                 detail="The fault is the service's; its log has the reason.",
             )
+            # What adds the id to every other answer is not asked when a route fails.
+            if (failed := request_id()) is not None:
+                headers[REQUEST_ID_HEADER] = failed
     if f"{request.url.path}/".startswith(f"{PROTOCOL_PATH}/"):
         return _protocol_error(problem, headers)
     return Response(

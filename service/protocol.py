@@ -139,6 +139,16 @@ class InferResponse(ResponseBody):
     outputs: list[InferOutput]
 
 
+class IndexEntry(ResponseBody):
+    """One version of a model in the repository."""
+
+    name: str
+    version: str
+    state: Literal["READY", "UNAVAILABLE"]
+    reason: str
+    """Why it is not ready; empty when it is."""
+
+
 class InferError(ResponseBody):
     """A refusal."""
 

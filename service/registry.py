@@ -1,7 +1,8 @@
 """The models that are there: chosen by name or by "auto"."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 from rollcast.http import AUTO_MODEL
 from rollcast.manifest import Manifest
@@ -18,7 +19,10 @@ from service.rollout import Predictor
 
 @dataclass(frozen=True)
 class Model:
-    """One version of one model: served when it has a predictor, else refused with a reason."""
+    """One version of one model.
+
+    It is served when it has a predictor, refused when there is a reason, else unloaded.
+    """
 
     name: str
     version: int
@@ -31,6 +35,13 @@ class Model:
     def label(self) -> str:
         """NAME@VERSION."""
         return f"{self.name}@{self.version}"
+
+    @property
+    def status(self) -> Literal["ready", "refused", "unloaded"]:
+        """Whether it is served."""
+        if self.predictor is not None:
+            return "ready"
+        return "unloaded" if self.reason is None else "refused"
 
     @property
     def is_default(self) -> bool:
@@ -64,6 +75,22 @@ class Registry:
     def served(self) -> list[Predictor]:
         """The predictors of all models that are ready."""
         return [model.predictor for model in self.models if model.predictor is not None]
+
+    def without(self, name: str) -> "Registry":
+        """Return the registry with every version of a name unloaded.
+
+        Raises
+        ------
+        UnknownModelError
+            When there is none.
+        """
+        unloaded = [replace(m, predictor=None, reason=None) for m in self.versions(name)]
+        return self.updated(name, unloaded)
+
+    def updated(self, name: str, versions: Sequence[Model]) -> "Registry":
+        """Return the registry with other versions of a name."""
+        others = [model for model in self.models if model.name != name]
+        return Registry([*others, *versions])
 
     def versions(self, name: str) -> list[Model]:
         """Return every version of a name.
@@ -110,7 +137,8 @@ class Registry:
             raise UnknownModelError.at("model", f"{name}@{version}", expected)
         model = self.get(name, None if version is None else int(version))
         if model.predictor is None:
-            raise ModelUnavailableError(f"{model.label} is refused: {model.reason}")
+            why = "" if model.reason is None else f": {model.reason}"
+            raise ModelUnavailableError(f"{model.label} is {model.status}{why}")
         return model.predictor
 
     def choose(self, wish: Wish) -> Predictor:

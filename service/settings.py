@@ -1,15 +1,23 @@
-"""Settings of the service, from environment variables ``ROLLCAST_NAME``."""
+"""Settings of the service: environment variables ``ROLLCAST_NAME``, or a file of their names."""
 
 import os
+import textwrap
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import DirectoryPath, Field, model_validator
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import (
+    BaseSettings,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+    TomlConfigSettingsSource,
+)
 
 PREFIX = "ROLLCAST_"
-OTHER_PROGRAMS_VARIABLES = frozenset({"ROLLCAST_RUNS"})
-"""Variables that the training reads: they may stand in the same environment."""
+FILE_VARIABLE = "ROLLCAST_SETTINGS_FILE"
+"""Names a TOML file of settings; variables of the environment go before it."""
+OTHER_VARIABLES = frozenset({FILE_VARIABLE, "ROLLCAST_RUNS"})
+"""The file's own, and those that the training reads: they may stand in the same environment."""
 
 MEBI = 2**20
 
@@ -22,8 +30,13 @@ def keep_runtime_silent() -> None:
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 
+def metrics_are_shared() -> bool:
+    """Tell whether several processes count in one folder, which Prometheus' client reads too."""
+    return "PROMETHEUS_MULTIPROC_DIR" in os.environ
+
+
 class Settings(BaseSettings):
-    """Every setting of the service; an unknown ``ROLLCAST_`` variable is refused."""
+    """Every setting of the service; one that is unknown is refused wherever it stands."""
 
     model_config = SettingsConfigDict(
         env_prefix=PREFIX, frozen=True, extra="forbid", use_attribute_docstrings=True
@@ -51,12 +64,52 @@ class Settings(BaseSettings):
     """Largest number of pixels, all frames together, that one simulation may draw."""
     retry_after_s: Annotated[int, Field(ge=1)] = 1
     """Seconds after which a refused client is asked to come back (the header Retry-After)."""
+    drain_s: Annotated[float, Field(ge=0)] = 0
+    """Seconds for which a service that was told to stop goes on listening, not ready any more, so
+    that those who send it requests take notice; it listens until its last forecast is answered
+    anyway."""
+    stop_timeout_s: Annotated[int, Field(ge=1)] = 30
+    """Seconds after which a service that was told to stop gives up what it still works on."""
+    log_format: Literal["json", "text"] = "json"
+    """Log lines as JSON objects, or as text for people."""
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003
+        file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Read arguments, then the environment, then the file, if there is one."""
+        path = os.environ.get(FILE_VARIABLE)
+        if path is None:
+            return init_settings, env_settings
+        return init_settings, env_settings, TomlConfigSettingsSource(settings_cls, _file(path))
 
     @model_validator(mode="after")
     def _know_every_variable(self) -> "Settings":
         known = {f"{PREFIX}{name}".upper() for name in type(self).model_fields}
         given = {name for name in os.environ if name.upper().startswith(PREFIX)}
-        unknown = sorted(given - OTHER_PROGRAMS_VARIABLES - known)
+        unknown = sorted(given - OTHER_VARIABLES - known)
         if unknown:
             raise ValueError(f"unknown settings {unknown}; known are {sorted(known)}")
         return self
+
+
+def _file(path: str) -> Path:
+    """Return the path of the settings' file: a missing one would otherwise be passed over."""
+    file = Path(path)
+    if not file.is_file():
+        raise ValueError(f"{FILE_VARIABLE}: there is no file {path}")
+    return file
+
+
+def described() -> str:
+    """Say what every setting means and what it is by default, a paragraph each."""
+    return "\n".join(
+        f"{PREFIX}{name.upper()} (default {field.default})\n"
+        + textwrap.indent(textwrap.fill(field.description or "", 84), 4 * " ")
+        for name, field in Settings.model_fields.items()
+    )

@@ -1,11 +1,14 @@
 """What the app holds while it runs; its lifespan fills and empties it."""
 
+import asyncio
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from fastapi import Depends, Request
 
 from service.errors import NotReadyError
+from service.loading import Loader
+from service.metrics import Metrics
 from service.registry import Registry
 from service.settings import Settings
 from service.workers import Workers
@@ -21,8 +24,14 @@ class State:
         As they were at start.
     inference, simulation
         Where forecasts and simulations are computed.
+    metrics
+        What is counted of all that.
+    load
+        Loads models from their folder.
     registry
         The models; empty while loading.
+    changing
+        Held while models come or go.
     phase
         ``loading`` before the models are there, ``draining`` after the order to stop.
     """
@@ -30,7 +39,10 @@ class State:
     settings: Settings
     inference: Workers
     simulation: Workers
+    metrics: Metrics
+    load: Loader
     registry: Registry = field(default_factory=lambda: Registry([]))
+    changing: asyncio.Lock = field(default_factory=asyncio.Lock)
     phase: Literal["loading", "serving", "draining"] = "loading"
 
     @property
@@ -39,6 +51,16 @@ class State:
         if self.phase != "serving":
             return self.phase
         return "ready" if self.registry.served else "no usable model"
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is being computed."""
+        return self.inference.idle and self.simulation.idle
+
+    def serve(self, registry: Registry) -> None:
+        """Answer with other models from now on; what has begun goes on with its own."""
+        self.registry = registry
+        self.metrics.models(registry)
 
     def require_serving(self) -> None:
         """Check that the models are there.

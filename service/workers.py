@@ -6,6 +6,8 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import ParamSpec, TypeVar
 
+from prometheus_client import Gauge
+
 from service.errors import QueueFullError
 
 P = ParamSpec("P")
@@ -21,12 +23,21 @@ class Workers:
         Runs the calls; this object shuts it down.
     capacity
         Calls that it may hold.
+    shown
+        Follows the number that it holds.
     """
 
-    def __init__(self, executor: Executor, capacity: int) -> None:
+    def __init__(self, executor: Executor, capacity: int, shown: Gauge) -> None:
         self._executor = executor
-        self._slots = threading.BoundedSemaphore(capacity)
         self._capacity = capacity
+        self._shown = shown
+        self._held = 0
+        self._lock = threading.Lock()
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing runs or waits."""
+        return self._held == 0
 
     async def run(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Run a call and return what it returns. Cancelled before its turn, it never runs.
@@ -36,18 +47,21 @@ class Workers:
         QueueFullError
             When ``capacity`` calls are being held.
         """
-        if not self._slots.acquire(blocking=False):
-            raise QueueFullError(f"{self._capacity} requests are being worked on or wait already")
-        try:
+        with self._lock:
+            if self._held == self._capacity:
+                raise QueueFullError(
+                    f"{self._capacity} requests are being worked on or wait already"
+                )
             future = self._executor.submit(call, *args, **kwargs)
-        except BaseException:
-            self._slots.release()
-            raise
+            self._held += 1
+            self._shown.inc()
         future.add_done_callback(self._release)
         return await asyncio.wrap_future(future)
 
     def _release(self, _: Future[T]) -> None:
-        self._slots.release()
+        with self._lock:
+            self._held -= 1
+            self._shown.dec()
 
     def close(self) -> None:
         """Let running calls end, drop waiting ones."""

@@ -1,5 +1,6 @@
 """Pictures of the results (matplotlib): errors over time, calibration, ellipses over frames."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -78,7 +79,7 @@ def draw_calibration(curves: Sequence[Curve], path: Path) -> None:
 def draw_ellipses(
     examples: Sequence[tuple[str, Window, Forecasts]], every: int, path: Path
 ) -> None:
-    """Draw forecasts over the last seen frame: ellipses, forecast and true paths.
+    """Draw forecasts over the last seen frame: ellipses, forecast and true paths; three a row.
 
     Parameters
     ----------
@@ -88,10 +89,10 @@ def draw_ellipses(
         Steps between ellipses.
     """
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(2.6 * len(examples), 2.9), layout="constrained")
-        for axes, (caption, window, made) in zip(
-            figure.subplots(1, len(examples), squeeze=False)[0], examples, strict=True
-        ):
+        rows = math.ceil(len(examples) / 3)
+        figure = Figure(figsize=(7.8, 2.9 * rows), layout="constrained")
+        places = figure.subplots(rows, 3, squeeze=False).flat
+        for (caption, window, made), axes in zip(examples, places, strict=False):
             size = window.frames.shape[1]
             axes.imshow(window.frames[3], extent=(0, size, size, 0))
             for ball in range(made.positions.shape[1]):
@@ -105,6 +106,8 @@ def draw_ellipses(
                             _ellipse(path_px[step], made.covariances[0, ball, step], colour)
                         )
             axes.set(xlim=(0, size), ylim=(size, 0), xticks=[], yticks=[], title=caption)
+        for unused in places:
+            unused.axis("off")
         figure.savefig(path, metadata={"Software": None})
 
 

@@ -88,12 +88,16 @@ class Explicit:
         Such windows beside every batch; they cost no rendering.
     curriculum
         Horizons of the practice.
+    motion_rate
+        Learning rate of what moves the balls, relative to everything else's: trained motion is
+        thrown off by the rate that an eye needs.
     """
 
     reading: ReadingLoss
     motion: MotionLoss
     practice: int
     curriculum: tuple[Milestone, ...]
+    motion_rate: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -179,9 +183,9 @@ Ellipsoids, of which the hemisphere is one, and heightfields are furthest from t
 
 
 FIELD_DATA = (
-    DataShare(Source("hemisphere"), 2000, 0.16, 200),
-    DataShare(Source("ellipsoid"), 4000, 0.38, 200),
-    DataShare(Source("heightfield"), 3000, 0.42, 140),
+    DataShare(Source("hemisphere"), 2000, 0.14, 200),
+    DataShare(Source("ellipsoid"), 4000, 0.36, 200),
+    DataShare(Source("heightfield"), 3000, 0.46, 140),
     DataShare(Source("hemisphere", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
     DataShare(Source("ellipsoid", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
 )
@@ -218,7 +222,12 @@ def continued(recipe: Recipe) -> Recipe:
     return replace(
         recipe,
         curriculum=(Milestone(0.7, 1), Milestone(0.75, longest // 2), Milestone(0.88, longest)),
-        explicit=replace(recipe.explicit, practice=8, curriculum=(Milestone(0, longest // 2),)),
+        explicit=replace(
+            recipe.explicit,
+            practice=64,
+            curriculum=(Milestone(0, longest // 2),),
+            motion_rate=0.1,
+        ),
     )
 
 
@@ -300,7 +309,7 @@ def field_one_ball() -> Recipe:
 def field_one_ball_continued() -> Recipe:
     """Train the same from weights that already see (``--init``)."""
     return replace(
-        continued(field_one_ball()), name="field-one-ball-continued", sequences=96_000, seed=3
+        continued(field_one_ball()), name="field-one-ball-continued", sequences=128_000, seed=4
     )
 
 

@@ -26,11 +26,21 @@ def with_results(text: str, manifests: Sequence[Manifest]) -> str:
 
 
 def overview(manifests: Sequence[Manifest]) -> str:
-    """Errors on the test split at every reported horizon, baselines last, as Markdown."""
+    """Errors on the test split at every reported horizon, baselines last, as Markdown.
+
+    Models of several balls have a table of their own each.
+    """
+    numbers = sorted({manifest.objects for manifest in manifests})
+    groups = [[one for one in manifests if one.objects == number] for number in numbers]
+    return "\n\n".join(_overview(group) for group in groups)
+
+
+def _overview(manifests: Sequence[Manifest]) -> str:
+    """Table of models that follow the same number of balls."""
     horizons = sorted({row.horizon for manifest in manifests for row in manifest.metrics})
     names = [*(manifest.name for manifest in manifests), "stays put", "line"]
     lines = [
-        f"| test scenes | {' | '.join(names)} |",
+        f"| {_balls(manifests[0].objects)}, test scenes | {' | '.join(names)} |",
         "|---" * (len(names) + 1) + "|",
     ]
     for scenario in SCENARIOS:
@@ -61,7 +71,11 @@ def page(results: Results, scenes: int) -> str:
 
 def title(scenario: Scenario, objects: int) -> str:
     """Name a group of results."""
-    return f"{scenario}, {objects} ball{'s' if objects > 1 else ''}"
+    return f"{scenario}, {_balls(objects)}"
+
+
+def _balls(objects: int) -> str:
+    return f"{objects} ball{'s' if objects > 1 else ''}"
 
 
 def picture_name(scenario: Scenario, objects: int) -> str:

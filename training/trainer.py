@@ -90,16 +90,25 @@ class Trainer:
             self.family,
             multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(recipe.average_decay),
         )
-        shared = self.family.shared_parameters()
-        known = {id(parameter) for parameter in shared}
-        heads = [p for p in self.family.parameters() if id(p) not in known]
-        groups = [{"params": shared}, {"params": heads}]
-        self._optimiser = recipe.optimiser(groups, recipe.learning_rate)
+        self._optimiser = recipe.optimiser(self._groups(), recipe.learning_rate)
         self._schedule = recipe.schedule()
         self.batches = 0
         self._usual_gradient = 0.0
         self._best_error = math.inf
         self._checkpoint_time = time.monotonic()
+
+    def _groups(self) -> list[dict[str, list[torch.nn.Parameter]]]:
+        """Return what learns at a rate of its own: shared parts, explicit motion, and the rest."""
+        shared = self.family.shared_parameters()
+        motion = [
+            parameter
+            for network in self.family.networks().values()
+            if isinstance(network, FieldNet)
+            for parameter in network.rolling.parameters()
+        ]
+        known = {id(parameter) for parameter in [*shared, *motion]}
+        rest = [p for p in self.family.parameters() if id(p) not in known]
+        return [{"params": shared}, {"params": motion}, {"params": rest}]
 
     @property
     def sequences(self) -> int:
@@ -161,9 +170,10 @@ class Trainer:
     def _step(self, batch: Batch, spent: float) -> float:
         recipe = self.recipe
         self.family.train()
-        shared, heads = self._optimiser.param_groups
+        shared, motion, rest = self._optimiser.param_groups
         rate = recipe.learning_rate * self._schedule.factor(spent)
-        heads["lr"] = rate
+        rest["lr"] = rate
+        motion["lr"] = rate * (recipe.explicit.motion_rate if recipe.explicit else 1.0)
         shared["lr"] = rate * shared_factor(spent, recipe.heads_alone)
         for parameter in shared["params"]:
             parameter.requires_grad_(spent >= recipe.heads_alone)

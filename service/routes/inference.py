@@ -1,11 +1,13 @@
 """``/v2``: the Open Inference Protocol over REST, with the binary tensor extension."""
 
+import time
 from functools import partial
 
 from fastapi import APIRouter, Request, Response, status
 
 from rollcast.http import API_VERSION
 from service.bodies import JSON, parse_json, read_body
+from service.forecasts import timing
 from service.openapi import errors_of, tensors_of
 from service.problems import PROTOCOL_PATH
 from service.protocol import (
@@ -68,7 +70,8 @@ router = APIRouter(prefix=PROTOCOL_PATH, tags=["open inference protocol"])
 @router.get("")
 async def server_metadata() -> ServerMetadata:
     """Tell what this server is."""
-    return ServerMetadata(name="rollcast", version=API_VERSION, extensions=["binary_tensor_data"])
+    extensions = ["binary_tensor_data", "model_repository"]
+    return ServerMetadata(name="rollcast", version=API_VERSION, extensions=extensions)
 
 
 @router.get("/health/live")
@@ -163,7 +166,7 @@ async def _infer(
             request,
             service.inference,
             timeout_s(request, service.settings),
-            partial(_answer, body, length, predictor, service.settings.max_batch),
+            partial(_answer, body, length, predictor, service),
         )
     except ClientGoneError:
         return Response(status_code=CLIENT_CLOSED_REQUEST)
@@ -174,13 +177,19 @@ async def _infer(
 
 
 def _answer(
-    body: bytes, length: str | None, predictor: Predictor, max_batch: int, patience: Patience
+    body: bytes, length: str | None, predictor: Predictor, service: State, patience: Patience
 ) -> Message:
     """Parse, forecast and write, in a worker."""
     patience.check()
+    started = time.perf_counter()
     manifest = predictor.manifest
     text, binary = split(body, length)
-    query = read_query(parse_json(text, InferRequest), binary, manifest, max_batch)
+    request = parse_json(text, InferRequest)
+    query = read_query(request, binary, manifest, service.settings.max_batch)
+    decoded = time.perf_counter()
     first = predictor.encode(query.frames)
+    encoded = time.perf_counter()
     outputs = stacked(steps_after(predictor, first, query.horizon, patience.check))
+    taken = timing(started, decoded, encoded)
+    service.metrics.forecast(manifest.label, taken, batch=len(query.frames))
     return write_answer(query, manifest, assemble(outputs, manifest.covariance))

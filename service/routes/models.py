@@ -30,7 +30,7 @@ async def model_by_version(name: str, version: int, service: ServiceState) -> Mo
 
 def _entry(model: Model) -> ModelEntry:
     manifest = model.manifest
-    status = "refused" if model.predictor is None else "ready"
+    status = model.status
     if manifest is None:
         return ModelEntry(
             name=model.name, version=model.version, status=status, reason=model.reason

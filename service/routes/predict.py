@@ -1,19 +1,24 @@
 """``POST /predict`` and ``/predict/stream``: four frames in, a forecast out."""
 
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Iterator
 from functools import partial
 
 from fastapi import APIRouter, Request, Response
 from fastapi.sse import EventSourceResponse, format_sse_event
 
-from rollcast.http import PredictRequest, PredictResponse, StreamDone, StreamStep
+from rollcast.http import (
+    ForecastSummary,
+    PredictRequest,
+    PredictResponse,
+    StreamDone,
+    StreamStep,
+)
 from service.bodies import JSON, MULTIPART, media_type, parse_json, read_body, read_form
 from service.errors import ServiceError
 from service.forecasts import answer, stream
 from service.openapi import body_of, problems_of
 from service.problems import document
-from service.registry import Registry
-from service.state import ServiceState
+from service.state import ServiceState, State
 from service.waiting import (
     CLIENT_CLOSED_REQUEST,
     ClientGoneError,
@@ -44,7 +49,7 @@ async def predict(request: Request, service: ServiceState) -> Response:
             request,
             service.inference,
             timeout_s(request, service.settings),
-            partial(_answer, parse, service.registry),
+            partial(_answer, parse, service),
         )
     except ClientGoneError:
         return Response(status_code=CLIENT_CLOSED_REQUEST)
@@ -72,7 +77,7 @@ async def predict_stream(request: Request, service: ServiceState) -> Response:
         request,
         service.inference,
         timeout_s(request, service.settings),
-        lambda patience: stream(parse(), service.registry, patience),
+        lambda patience: _stream(parse, service, patience),
     )
     # What is refused before the first step is refused as by /predict.
     first = await anext(events, None)
@@ -87,8 +92,24 @@ async def _body(request: Request) -> Callable[[], PredictRequest]:
     return lambda: form
 
 
-def _answer(parse: Callable[[], PredictRequest], registry: Registry, patience: Patience) -> str:
-    return answer(parse(), registry, patience).model_dump_json()
+def _answer(parse: Callable[[], PredictRequest], service: State, patience: Patience) -> str:
+    response = answer(parse(), service.registry, patience)
+    _count(response, service)
+    return response.model_dump_json()
+
+
+def _stream(
+    parse: Callable[[], PredictRequest], service: State, patience: Patience
+) -> Iterator[StreamStep | StreamDone]:
+    for event in stream(parse(), service.registry, patience):
+        if isinstance(event, StreamDone):
+            _count(event, service)
+        yield event
+
+
+def _count(summary: ForecastSummary, service: State) -> None:
+    model = f"{summary.model.name}@{summary.model.version}"
+    service.metrics.forecast(model, summary.timing_ms, batch=1)
 
 
 async def _lines(

@@ -17,10 +17,13 @@ SERVICE_PYTHON = ROOT / ".venv/service/bin/python"
 """What `make serve` runs: the environment without torch."""
 
 
-def start_service(log: IO[str] | int = subprocess.DEVNULL) -> tuple[subprocess.Popen[str], str]:
+def start_service(
+    log: IO[str] | int = subprocess.DEVNULL, **settings: str
+) -> tuple[subprocess.Popen[str], str]:
     """Start the service on a free port; return the process and its address."""
+    variables = [f"{name}={value}" for name, value in settings.items()]
     process = subprocess.Popen(
-        [SERVICE_PYTHON, "-m", "service", "--port", "0"],
+        ["env", *variables, SERVICE_PYTHON, "-m", "service", "--port", "0"],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=log,

@@ -1,6 +1,5 @@
 """The service as its users meet it."""
 
-import signal
 import socket
 import subprocess
 import sys
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 
 from rollcast.client import Client
-from rollcast.errors import RefusedError, UnreachableError
+from rollcast.errors import RefusedError
 from tests.e2e.conftest import ROOT, start_service, stop_service, wait_until_ready
 
 
@@ -95,16 +94,3 @@ def test_a_port_in_use_gives_one_clear_line(address):
         f"rollcast: cannot listen on 127.0.0.1:{port}: Address already in use; "
         "--port takes another one\n"
     )
-
-
-@pytest.mark.parametrize("order", [signal.SIGTERM, signal.SIGINT])
-def test_it_stops_when_it_is_told_to(order):
-    process, address = start_service()
-    with Client(address) as client:
-        wait_until_ready(client)
-        client.simulate("hemisphere", seed=1, steps=4, include_frames=False)
-        process.send_signal(order)
-        process.communicate(timeout=30)
-        with pytest.raises(UnreachableError):
-            client.health()
-    assert process.returncode in {0, -order}

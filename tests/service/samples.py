@@ -160,7 +160,7 @@ def served(**changes: object) -> Model:
 EMPIRICAL = {"source": "empirical", "empirical": [[[1, 0.5], [0.5, 1]], [[4, 0], [0, 4]]]}
 
 
-def registry(_: Path) -> Registry:
+def registry(_: Path, name: str | None = None) -> Registry:
     """One of each kind."""
     return Registry(
         [

@@ -105,7 +105,7 @@ def test_the_server_describes_itself(client):
     assert client.get("/v2").json() == {
         "name": "rollcast",
         "version": "1.0",
-        "extensions": ["binary_tensor_data"],
+        "extensions": ["binary_tensor_data", "model_repository"],
     }
 
 

@@ -35,7 +35,7 @@ def write(tmp_path):
 
 
 def load(folder):
-    return load_registry(folder, lambda _, described: DotPredictor(described))
+    return load_registry(folder, open_predictor=lambda _, described: DotPredictor(described))
 
 
 def reason(tmp_path):
@@ -125,6 +125,6 @@ def test_whatever_the_runtime_raises_is_a_reason(write, tmp_path):
     def fail(_, __):
         raise RuntimeError("no such operator")
 
-    (model,) = load_registry(tmp_path, fail).models
+    (model,) = load_registry(tmp_path, open_predictor=fail).models
     assert model.reason == "cannot be loaded: no such operator"
     assert model.manifest is not None

@@ -1,7 +1,7 @@
 import pytest
 from pydantic import ValidationError
 
-from service.settings import Settings
+from service.settings import Settings, described
 
 
 def test_settings_come_from_the_environment(monkeypatch):
@@ -32,3 +32,39 @@ def test_a_wrong_setting_is_refused(monkeypatch, name, value):
 
 def test_every_setting_is_described():
     assert all(field.description for field in Settings.model_fields.values())
+
+
+@pytest.fixture
+def file(tmp_path, monkeypatch):
+    path = tmp_path / "rollcast.toml"
+    monkeypatch.setenv("ROLLCAST_SETTINGS_FILE", str(path))
+    return path
+
+
+def test_settings_come_from_a_file_too(file):
+    file.write_text("max_batch = 4\nretry_after_s = 9\n")
+    settings = Settings()
+    assert (settings.max_batch, settings.retry_after_s) == (4, 9)
+
+
+def test_the_environment_goes_before_the_file(file, monkeypatch):
+    file.write_text("max_batch = 4\n")
+    monkeypatch.setenv("ROLLCAST_MAX_BATCH", "8")
+    assert Settings().max_batch == 8
+
+
+def test_an_unknown_setting_in_the_file_is_refused(file):
+    file.write_text("max_bach = 4\n")
+    with pytest.raises(ValidationError, match="max_bach"):
+        Settings()
+
+
+def test_a_file_that_is_missing_is_told(file):
+    with pytest.raises(ValueError, match=r"ROLLCAST_SETTINGS_FILE.*rollcast\.toml"):
+        Settings()
+
+
+def test_every_setting_is_told_with_its_default():
+    text = described()
+    assert "ROLLCAST_RETRY_AFTER_S (default 1)\n    Seconds after which" in text
+    assert text.count("(default ") == len(Settings.model_fields)

@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from prometheus_client import Gauge
 
 from service.errors import DeadlineExceededError
 from service.waiting import ClientGoneError, answered, streamed
@@ -148,7 +149,7 @@ class Leaving:
 def workers():
     from concurrent.futures import ThreadPoolExecutor
 
-    workers = Workers(ThreadPoolExecutor(1), capacity=1)
+    workers = Workers(ThreadPoolExecutor(1), 1, Gauge("held", "Calls", registry=None))
     yield workers
     workers.close()
 

@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
 import pytest
+from prometheus_client import Gauge
 
 from service.errors import QueueFullError
 from service.simulations import RecycledProcess
@@ -15,7 +16,7 @@ from tests.service.samples import body
 
 @pytest.fixture
 def workers():
-    workers = Workers(ThreadPoolExecutor(1), capacity=2)
+    workers = Workers(ThreadPoolExecutor(1), 2, Gauge("held", "Calls", registry=None))
     yield workers
     workers.close()
 

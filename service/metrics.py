@@ -1,0 +1,92 @@
+"""What Prometheus reads of the service."""
+
+from fastapi import FastAPI
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client.multiprocess import MultiProcessCollector
+from prometheus_fastapi_instrumentator import Instrumentator
+
+from rollcast.http import PredictTiming
+from service.registry import Registry
+from service.settings import metrics_are_shared
+
+STAGE_SECONDS = (
+    0.0005, 0.001, 0.002, 0.004, 0.006, 0.008, 0.01, 0.015, 0.02, 0.03, 0.05, 0.1, 0.25, 1, 5,
+)  # fmt: skip
+BATCHES = (1, 2, 4, 8, 16, 32)
+
+
+class Metrics:
+    """Counters of one app.
+
+    Where PROMETHEUS_MULTIPROC_DIR names a folder, they are those of all processes that write there.
+    """
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry()
+        self.held = Gauge(
+            "rollcast_held",
+            "Calls that run or wait, by what computes them",
+            ["workers"],
+            registry=self.registry,
+            multiprocess_mode="livesum",
+        )
+        self._stages = Histogram(
+            "rollcast_stage_seconds",
+            "Time of one stage of a forecast",
+            ["stage", "model"],
+            registry=self.registry,
+            buckets=STAGE_SECONDS,
+        )
+        self._batch = Histogram(
+            "rollcast_batch_size",
+            "Requests that one rollout answers",
+            ["model"],
+            registry=self.registry,
+            buckets=BATCHES,
+        )
+        self._refused = Counter(
+            "rollcast_refused", "Refused requests", ["problem"], registry=self.registry
+        )
+        self._models = Gauge(
+            "rollcast_models",
+            "Versions of models, by whether they are served",
+            ["status"],
+            registry=self.registry,
+            multiprocess_mode="livemostrecent",
+        )
+
+    def forecast(self, model: str, timing: PredictTiming, batch: int) -> None:
+        """Count a rollout.
+
+        Parameters
+        ----------
+        model
+            NAME@VERSION.
+        """
+        for stage in ("decode", "encode", "rollout"):
+            self._stages.labels(stage, model).observe(getattr(timing, stage) / 1e3)
+        self._batch.labels(model).observe(batch)
+
+    def refusal(self, problem: str) -> None:
+        """Count a refused request by the last part of its problem's type."""
+        self._refused.labels(problem).inc()
+
+    def models(self, registry: Registry) -> None:
+        """Count the models that there are."""
+        for status in ("ready", "refused", "unloaded"):
+            found = sum(model.status == status for model in registry.models)
+            self._models.labels(status).set(found)
+
+    def watch_requests(self, app: FastAPI) -> None:
+        """Count the requests of an app by route, method and status, and time them."""
+        Instrumentator(
+            registry=self.registry, should_group_status_codes=False, excluded_handlers=["/metrics"]
+        ).instrument(app)
+
+    def text(self) -> bytes:
+        """Return all figures in Prometheus' text format."""
+        registry = self.registry
+        if metrics_are_shared():
+            registry = CollectorRegistry()
+            MultiProcessCollector(registry)
+        return generate_latest(registry)

@@ -1,0 +1,41 @@
+"""``/v2/repository``: the Open Inference Protocol's extension to load and unload models."""
+
+from fastapi import APIRouter, Response, status
+
+from service import lifecycle
+from service.openapi import errors_of
+from service.problems import PROTOCOL_PATH
+from service.protocol import IndexEntry
+from service.state import ServiceState
+
+router = APIRouter(prefix=f"{PROTOCOL_PATH}/repository", tags=["open inference protocol"])
+
+
+@router.post("/index")
+async def index(service: ServiceState) -> list[IndexEntry]:
+    """List every version of every model."""
+    return [
+        IndexEntry(
+            name=model.name,
+            version=str(model.version),
+            state="READY" if model.status == "ready" else "UNAVAILABLE",
+            reason=model.reason or ("unloaded" if model.status == "unloaded" else ""),
+        )
+        for model in service.registry.models
+    ]
+
+
+@router.post("/models/{name}/load", responses=errors_of(400, 404, 503))
+async def load(name: str, service: ServiceState) -> Response:
+    """Load every version of a model again from its folder; 400 when one of them is refused."""
+    service.require_serving()
+    await lifecycle.load(service, name)
+    return Response(status_code=status.HTTP_200_OK)
+
+
+@router.post("/models/{name}/unload", responses=errors_of(404, 503))
+async def unload(name: str, service: ServiceState) -> Response:
+    """Stop serving a model; forecasts that have begun are answered."""
+    service.require_serving()
+    await lifecycle.unload(service, name)
+    return Response(status_code=status.HTTP_200_OK)

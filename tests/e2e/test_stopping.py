@@ -1,0 +1,83 @@
+"""What a real server does when it is told to stop."""
+
+import re
+import signal
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import httpx2
+import numpy as np
+import pytest
+
+from rollcast.client import Client
+from rollcast.errors import ServiceFailedError, UnreachableError
+from tests.e2e.conftest import start_service, stop_service, wait_until_ready
+
+LONGEST_HORIZON = 1000
+
+
+def held(address: str) -> int:
+    """Forecasts that run or wait."""
+    text = httpx2.get(f"{address}/metrics").text
+    found = re.search(r'^rollcast_held\{workers="inference"\} (\S+)', text, re.MULTILINE)
+    assert found
+    return int(float(found.group(1)))
+
+
+def health(client: Client) -> Iterator[str]:
+    """What is said of its health until it is gone."""
+    try:
+        while True:
+            yield client.health().status
+    except UnreachableError:
+        return
+
+
+@pytest.mark.parametrize("order", [signal.SIGTERM, signal.SIGINT])
+def test_it_stops_when_it_is_told_to(order):
+    process, address = start_service()
+    with Client(address) as client:
+        wait_until_ready(client)
+        client.simulate("hemisphere", seed=1, steps=4, include_frames=False)
+        process.send_signal(order)
+        process.communicate(timeout=30)
+        with pytest.raises(UnreachableError):
+            client.health()
+    assert process.returncode in {0, -order}
+
+
+def test_what_was_accepted_is_answered_before_it_stops():
+    process, address = start_service()
+    requests = 12
+
+    def forecast(frames: np.ndarray) -> int:
+        with Client(address) as client:
+            return client.predict(frames, model="dispnet", horizon=LONGEST_HORIZON).positions.shape[
+                1
+            ]
+
+    with Client(address) as client, ThreadPoolExecutor(requests) as threads:
+        wait_until_ready(client)
+        frames = client.simulate("hemisphere", seed=1, steps=4).frames
+        answers = [threads.submit(forecast, frames) for _ in range(requests)]
+        while held(address) < requests:
+            assert not all(answer.done() for answer in answers)
+        process.send_signal(signal.SIGTERM)
+        said = set(health(client))
+        assert [answer.result() for answer in answers] == [LONGEST_HORIZON] * requests
+    assert said <= {"ready", "draining"}
+    assert "draining" in said
+    assert stop_service(process) in {0, -signal.SIGTERM}
+
+
+def test_nothing_new_is_begun_while_it_drains():
+    process, address = start_service(ROLLCAST_DRAIN_S="2")
+    with Client(address) as client:
+        wait_until_ready(client)
+        frames = client.simulate("hemisphere", seed=1, steps=4).frames
+        process.send_signal(signal.SIGTERM)
+        next(status for status in health(client) if status == "draining")
+        with pytest.raises(ServiceFailedError) as refused:
+            client.predict(frames)
+        assert refused.value.problem.type == "/problems/not-ready"
+    assert stop_service(process) in {0, -signal.SIGTERM}

@@ -1,0 +1,58 @@
+"""Request ids and JSON lines."""
+
+import io
+import json
+import logging
+
+from service.logs import JsonLines
+from tests.service.samples import body
+
+
+def written(*args, name="uvicorn.access", level=logging.INFO, exc_info=None) -> dict[str, object]:
+    """What is written of one record, read again."""
+    stream = io.StringIO()
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(JsonLines())
+    handler.handle(logging.LogRecord(name, level, "", 0, args[0], args[1:], exc_info))
+    return json.loads(stream.getvalue())
+
+
+def test_every_answer_carries_an_id_of_its_own(client):
+    ids = {client.get("/health/live").headers["x-request-id"] for _ in range(3)}
+    assert len(ids) == 3
+    assert all(len(one) == 32 for one in ids)
+
+
+def test_a_clients_own_id_comes_back(client):
+    refused = client.post("/predict", json=body(horizon=0), headers={"x-request-id": "robot-7/42"})
+    assert refused.status_code == 422
+    assert refused.headers["x-request-id"] == "robot-7/42"
+
+
+def test_an_id_that_could_forge_log_lines_is_replaced(client):
+    for bad in ('a"b', "a b", "x" * 200):
+        answered = client.get("/health/live", headers={"x-request-id": bad})
+        assert len(answered.headers["x-request-id"]) == 32
+
+
+def test_a_failure_carries_its_id_too(client):
+    client.app.state.service.registry = None
+    failed = client.get("/models", headers={"x-request-id": "mine"})
+    assert failed.status_code == 500
+    assert failed.headers["x-request-id"] == "mine"
+
+
+def test_a_line_is_one_object():
+    line = written("model %s\nis refused", "a", name="service.loading", level=logging.WARNING)
+    assert line.pop("time")
+    assert line == {
+        "level": "WARNING",
+        "logger": "service.loading",
+        "message": "model a\nis refused",
+    }
+
+
+def test_an_access_line_has_its_parts():
+    line = written('%s - "%s %s HTTP/%s" %d', "127.0.0.1:5", "POST", "/predict", "1.1", 200)
+    wanted = {"client": "127.0.0.1:5", "method": "POST", "path": "/predict", "status": 200}
+    assert wanted.items() <= line.items()
