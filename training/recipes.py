@@ -321,7 +321,7 @@ def field_several_balls(objects: int) -> Recipe:
     fresh = field_one_ball()
     assert fresh.explicit is not None
     practice = replace(
-        fresh.explicit, practice=64, curriculum=(Milestone(0, 2), Milestone(0.4, 15))
+        fresh.explicit, curriculum=(Milestone(0, 2), Milestone(0.4, 15)), motion_rate=0.3
     )
     return replace(
         fresh,

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -63,6 +65,17 @@ def test_training_lowers_the_error_and_keeps_the_best(any_recipe, tmp_path):
     assert best["sequences"] <= any_recipe.sequences
     changed = [n for n, v in trainer.family.state_dict().items() if not torch.equal(v, before[n])]
     assert set(changed) == set(before)
+
+
+def test_motion_learns_at_a_rate_of_its_own(runs, tmp_path):
+    recipe = tiny(field_one_ball())
+    assert recipe.explicit is not None
+    recipe = replace(recipe, explicit=replace(recipe.explicit, motion_rate=0.0))
+    trainer = Trainer(recipe, tmp_path, PACE)
+    before = {name: value.clone() for name, value in trainer.family.state_dict().items()}
+    trainer.run()
+    kept = {n for n, v in trainer.family.state_dict().items() if torch.equal(v, before[n])}
+    assert kept == {name for name in before if ".rolling." in name}
 
 
 def test_horizon_grows_step_by_step_between_milestones():
