@@ -2,7 +2,6 @@
 
 import asyncio
 from collections.abc import AsyncGenerator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 
 from fastapi import FastAPI
@@ -24,6 +23,7 @@ from service.routes import (
     repository,
     simulate,
 )
+from service.scheduler import Scheduler
 from service.settings import Settings
 from service.simulations import RecycledProcess
 from service.state import State
@@ -46,10 +46,12 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
         state = State(
             settings,
-            inference=Workers(
-                ThreadPoolExecutor(settings.inference_threads, "inference"),
+            inference=Scheduler(
+                settings.inference_threads,
                 settings.inference_threads + settings.inference_queue,
+                settings.max_batch,
                 figures.held.labels("inference"),
+                figures.batch,
             ),
             simulation=Workers(
                 RecycledProcess(settings.simulation_recycle),

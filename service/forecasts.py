@@ -1,8 +1,7 @@
 """One prediction request answered, whole or step by step: decode, choose, roll out, report."""
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
@@ -24,115 +23,69 @@ from rollcast.manifest import Manifest
 from rollcast.scene import COLORS
 from service.errors import InvalidValueError
 from service.images import decode_frames
+from service.metrics import Metrics
 from service.registry import Registry, Wish
-from service.rollout import (
-    Forecast,
-    Outputs,
-    Predictor,
-    Step,
-    assemble,
-    stacked,
-    steps_after,
-)
-from service.waiting import Patience
+from service.rollout import Forecast, Outputs, assemble, stacked
+from service.scheduler import Begun
 
 RATE_TOLERANCE = 0.05
 """Relative difference of frame rates beyond which the answer carries a warning."""
 
 
-def answer(request: PredictRequest, registry: Registry, patience: Patience) -> PredictResponse:
-    """Forecast what a request asks for. Takes milliseconds of processor time.
+class _Forecast:
+    """One request: its model, its frames, and the moments at which things were done.
 
-    Raises
-    ------
-    service.errors.ServiceError
-        When the request cannot be served.
-    service.waiting.ClientGoneError
-        When nobody waits for the answer any more.
+    Parameters
+    ----------
+    parse
+        Returns the parsed request.
     """
-    rollout = _begin(request, registry, patience)
-    outputs = stacked(rollout.steps())
-    forecast = rollout.forecast(outputs, first_step=0)
-    summary = rollout.summary(forecast.final_positions)
-    return PredictResponse(
-        **dict(summary),
-        objects=_objects(forecast, rollout.predictor.manifest),
-        times_s=[step / request.frame_rate for step in range(rollout.horizon)],
-    )
-
-
-def stream(
-    request: PredictRequest, registry: Registry, patience: Patience
-) -> Iterator[StreamStep | StreamDone]:
-    """Forecast what a request asks for, step by step, and close with all that is no step.
-
-    Raises
-    ------
-    service.errors.ServiceError
-        When the request cannot be served, or not to its end.
-    service.waiting.ClientGoneError
-        When nobody waits for the answer any more.
-    """
-    rollout = _begin(request, registry, patience)
-    manifest = rollout.predictor.manifest
-    final = None
-    for step, outputs in enumerate(rollout.steps()):
-        forecast = rollout.forecast(stacked(iter([outputs])), first_step=step)
-        if step == 0:
-            final = forecast.final_positions
-        balls = _objects(forecast, manifest)
-        yield StreamStep(
-            step=step,
-            time_s=step / request.frame_rate,
-            objects=[
-                StreamObject(
-                    id=ball.id,
-                    position=ball.positions[0],
-                    covariance=ball.covariances[0],
-                    angular_velocity=None
-                    if ball.angular_velocities is None
-                    else ball.angular_velocities[0],
-                )
-                for ball in balls
-            ],
-        )
-    yield StreamDone(
-        **dict(rollout.summary(final)),
-        objects=[
-            StreamBall(id=ball, color=COLORS[ball], covariance_source=manifest.covariance.source)
-            for ball in range(manifest.objects)
-        ],
-    )
-
-
-@dataclass(frozen=True)
-class _Rollout:
-    """A request whose frames have been encoded, with the moments at which that was done."""
 
     request: PredictRequest
-    predictor: Predictor
-    patience: Patience
-    first: Step
-    horizon: int
-    side: int
-    started: float
-    decoded: float
-    encoded: float
+    manifest: Manifest
 
-    def steps(self) -> Iterator[Outputs]:
-        """Roll out."""
-        return steps_after(self.predictor, self.first, self.horizon, self.patience.check)
+    def __init__(
+        self, parse: Callable[[], PredictRequest], registry: Registry, metrics: Metrics
+    ) -> None:
+        self._parse = parse
+        self._registry = registry
+        self._metrics = metrics
+        self._side = 0
+        self._horizon = 0
+        self._moments = (0.0, 0.0, 0.0)
+
+    def begin(self) -> Begun:
+        """Choose the model, decode the frames and encode them.
+
+        Raises
+        ------
+        service.errors.ServiceError
+            When the request cannot be served.
+        """
+        self.request = request = self._parse()
+        started = time.perf_counter()
+        final_frame = request.final_frame is not None
+        wish = Wish(request.model, request.objects, request.scenario, final_frame)
+        predictor = self._registry.choose(wish)
+        self.manifest = predictor.manifest
+        self._horizon = _horizon(request, predictor.manifest)
+        frames, self._side = _decode(request)
+        decoded = time.perf_counter()
+        first = predictor.encode(frames[None])
+        self._moments = (started, decoded, time.perf_counter())
+        return Begun(predictor, first, self._horizon)
 
     def forecast(self, outputs: Outputs, first_step: int) -> Forecast:
         """Turn stacked outputs into a forecast in the units of the user's frames."""
-        manifest = self.predictor.manifest
-        return assemble(outputs, manifest.covariance, first_step).rescaled(
-            self.side / NETWORK_FRAME_SIZE, self.request.frame_rate / manifest.frame_rate_hz
+        return assemble(outputs, self.manifest.covariance, first_step).rescaled(
+            self._side / NETWORK_FRAME_SIZE, self.request.frame_rate / self.manifest.frame_rate_hz
         )
 
     def summary(self, final_positions: np.ndarray | None) -> ForecastSummary:
         """Tell all that is no step; called at the end, for it takes the time."""
-        manifest = self.predictor.manifest
+        manifest = self.manifest
+        taken = timing(*self._moments)
+        self._metrics.forecast(manifest.label, taken)
         return ForecastSummary(
             model=ModelReference(
                 name=manifest.name,
@@ -140,11 +93,104 @@ class _Rollout:
                 variant=manifest.variant,
                 trained_horizon=manifest.trained_horizon,
             ),
-            frame_size=(self.side, self.side),
+            frame_size=(self._side, self._side),
             frame_rate=self.request.frame_rate,
             final_positions=None if final_positions is None else final_positions[0].tolist(),
-            warnings=_warnings(self.request, manifest, self.horizon),
-            timing_ms=timing(self.started, self.decoded, self.encoded),
+            warnings=_warnings(self.request, manifest, self._horizon),
+            timing_ms=taken,
+        )
+
+
+class WholeForecast(_Forecast):
+    """A forecast that is answered when all its steps are there, as JSON."""
+
+    def __init__(
+        self, parse: Callable[[], PredictRequest], registry: Registry, metrics: Metrics
+    ) -> None:
+        super().__init__(parse, registry, metrics)
+        self._steps: list[Outputs] = []
+
+    def step(self, index: int, outputs: Outputs) -> None:  # noqa: ARG002
+        """Keep a step's outputs."""
+        self._steps.append(outputs)
+
+    def finish(self) -> str:
+        """Write the answer.
+
+        Raises
+        ------
+        service.errors.DivergedError
+            When a number is not finite.
+        """
+        forecast = self.forecast(stacked(self._steps), first_step=0)
+        response = PredictResponse(
+            **dict(self.summary(forecast.final_positions)),
+            objects=_objects(forecast, self.manifest),
+            times_s=[step / self.request.frame_rate for step in range(len(self._steps))],
+        )
+        return response.model_dump_json()
+
+
+class StreamedForecast(_Forecast):
+    """A forecast that is handed over step by step, and closed with all that is no step.
+
+    Parameters
+    ----------
+    emit
+        Takes the events.
+    """
+
+    def __init__(
+        self,
+        parse: Callable[[], PredictRequest],
+        registry: Registry,
+        metrics: Metrics,
+        emit: Callable[[StreamStep | StreamDone], object],
+    ) -> None:
+        super().__init__(parse, registry, metrics)
+        self._emit = emit
+        self._final: np.ndarray | None = None
+
+    def step(self, index: int, outputs: Outputs) -> None:
+        """Hand a step over.
+
+        Raises
+        ------
+        service.errors.DivergedError
+            When a number is not finite.
+        """
+        forecast = self.forecast(stacked([outputs]), first_step=index)
+        if index == 0:
+            self._final = forecast.final_positions
+        self._emit(
+            StreamStep(
+                step=index,
+                time_s=index / self.request.frame_rate,
+                objects=[
+                    StreamObject(
+                        id=ball.id,
+                        position=ball.positions[0],
+                        covariance=ball.covariances[0],
+                        angular_velocity=None
+                        if ball.angular_velocities is None
+                        else ball.angular_velocities[0],
+                    )
+                    for ball in _objects(forecast, self.manifest)
+                ],
+            )
+        )
+
+    def finish(self) -> None:
+        """Hand over what is no step."""
+        source = self.manifest.covariance.source
+        self._emit(
+            StreamDone(
+                **dict(self.summary(self._final)),
+                objects=[
+                    StreamBall(id=ball, color=COLORS[ball], covariance_source=source)
+                    for ball in range(self.manifest.objects)
+                ],
+            )
         )
 
 
@@ -157,20 +203,6 @@ def timing(started: float, decoded: float, encoded: float) -> PredictTiming:
         rollout=1e3 * (now - encoded),
         total=1e3 * (now - started),
     )
-
-
-def _begin(request: PredictRequest, registry: Registry, patience: Patience) -> _Rollout:
-    """Choose the model, decode the frames and encode them."""
-    patience.check()
-    started = time.perf_counter()
-    final_frame = request.final_frame is not None
-    predictor = registry.choose(Wish(request.model, request.objects, request.scenario, final_frame))
-    horizon = _horizon(request, predictor.manifest)
-    frames, side = _decode(request)
-    decoded = time.perf_counter()
-    first = predictor.encode(frames[None])
-    encoded = time.perf_counter()
-    return _Rollout(request, predictor, patience, first, horizon, side, started, decoded, encoded)
 
 
 def _horizon(request: PredictRequest, manifest: Manifest) -> int:

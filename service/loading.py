@@ -17,7 +17,7 @@ from rollcast.manifest import (
     Manifest,
 )
 from service.registry import Model, Registry
-from service.rollout import Predictor, stacked, steps_after
+from service.rollout import Predictor, roll_out
 from service.runtime import OnnxPredictor
 
 PredictorFactory = Callable[[Path, Manifest], Predictor]
@@ -104,7 +104,7 @@ def _check_golden(predictor: Predictor, path: Path) -> None:
         if frames.dtype != np.uint8 or frames.shape[1:] != manifest.frames_shape:
             raise ArtefactError(f"{path.name}: frames are {frames.dtype} {frames.shape}")
         horizon = golden["positions"].shape[2]
-        outputs = stacked(steps_after(predictor, predictor.encode(frames), horizon))
+        outputs = roll_out(predictor, frames, horizon)
         for name, tolerance in manifest.golden_tolerance.items():
             if outputs[name].shape != golden[name].shape:
                 raise ArtefactError(

@@ -7,6 +7,7 @@ from prometheus_fastapi_instrumentator import Instrumentator
 
 from rollcast.http import PredictTiming
 from service.registry import Registry
+from service.rollout import Predictor
 from service.settings import metrics_are_shared
 
 STAGE_SECONDS = (
@@ -25,7 +26,7 @@ class Metrics:
         self.registry = CollectorRegistry()
         self.held = Gauge(
             "rollcast_held",
-            "Calls that run or wait, by what computes them",
+            "Requests that are computed or wait for it, by what computes them",
             ["workers"],
             registry=self.registry,
             multiprocess_mode="livesum",
@@ -39,7 +40,7 @@ class Metrics:
         )
         self._batch = Histogram(
             "rollcast_batch_size",
-            "Requests that one rollout answers",
+            "Forecasts that step together",
             ["model"],
             registry=self.registry,
             buckets=BATCHES,
@@ -55,8 +56,8 @@ class Metrics:
             multiprocess_mode="livemostrecent",
         )
 
-    def forecast(self, model: str, timing: PredictTiming, batch: int) -> None:
-        """Count a rollout.
+    def forecast(self, model: str, timing: PredictTiming) -> None:
+        """Count a forecast.
 
         Parameters
         ----------
@@ -65,7 +66,10 @@ class Metrics:
         """
         for stage in ("decode", "encode", "rollout"):
             self._stages.labels(stage, model).observe(getattr(timing, stage) / 1e3)
-        self._batch.labels(model).observe(batch)
+
+    def batch(self, predictor: Predictor, rows: int) -> None:
+        """Count a step of so many forecasts together."""
+        self._batch.labels(predictor.manifest.label).observe(rows)
 
     def refusal(self, problem: str) -> None:
         """Count a refused request by the last part of its problem's type."""

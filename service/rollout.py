@@ -3,7 +3,7 @@
 Axes: B requests, N balls, T steps, K frames.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -40,30 +40,20 @@ class Predictor(Protocol):
         ...
 
 
-def steps_after(
-    predictor: Predictor,
-    first: Step,
-    horizon: int,
-    go_on: Callable[[], None] = lambda: None,
-) -> Iterator[Outputs]:
-    """Yield the outputs of the steps 0..horizon-1; one that is not asked for is not computed.
-
-    Parameters
-    ----------
-    go_on
-        Called before every step; ends the rollout by raising.
-    """
-    step = first
-    yield step.outputs
+def roll_out(
+    predictor: Predictor, frames: UInt8[np.ndarray, "B K 128 128 3"], horizon: int
+) -> dict[OutputName, Float32[np.ndarray, "B N T ..."]]:
+    """Forecast the steps 0..horizon-1 of frames, alone."""
+    step = predictor.encode(frames)
+    steps = [step.outputs]
     for _ in range(1, horizon):
-        go_on()
         step = predictor.advance(step.state)
-        yield step.outputs
+        steps.append(step.outputs)
+    return stacked(steps)
 
 
-def stacked(steps: Iterator[Outputs]) -> dict[OutputName, Float32[np.ndarray, "B N T ..."]]:
+def stacked(rows: Sequence[Outputs]) -> dict[OutputName, Float32[np.ndarray, "B N T ..."]]:
     """Stack the outputs of all steps along a new third axis; a final position has no steps."""
-    rows = list(steps)
     return {
         name: rows[0][name]
         if name == "final_positions"

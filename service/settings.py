@@ -47,15 +47,15 @@ class Settings(BaseSettings):
     max_body_bytes: Annotated[int, Field(ge=1)] = 64 * MEBI
     """Largest request body; a larger one is refused with 413 while it is being read."""
     inference_threads: Annotated[int, Field(ge=1)] = len(os.sched_getaffinity(0))
-    """Forecasts that are computed at the same time, one thread each; by default one per core that
-    this process may use."""
+    """Threads that compute forecasts; by default one per core that this process may use."""
     inference_queue: Annotated[int, Field(ge=0)] = 64
-    """Forecasts that may wait for a thread; one more is refused with 429."""
+    """Forecasts that may be held beyond one a thread; one more is refused with 429."""
     deadline_s: Annotated[float, Field(gt=0)] = 60
     """Seconds after which a forecast that is not there is given up with 504, the wait in the queue
     included; the header X-Request-Timeout-Ms may ask for less."""
     max_batch: Annotated[int, Field(ge=1)] = 16
-    """Requests that may be forecast together in one tensor of ``/v2``."""
+    """Forecasts that may come in one tensor of ``/v2``, and that are gathered, while more frames
+    wait, before they are rolled out together."""
     simulation_queue: Annotated[int, Field(ge=0)] = 8
     """Simulations that may wait for the one that runs; one more is refused with 429."""
     simulation_recycle: Annotated[int, Field(ge=1)] = 500

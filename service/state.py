@@ -10,6 +10,7 @@ from service.errors import NotReadyError
 from service.loading import Loader
 from service.metrics import Metrics
 from service.registry import Registry
+from service.scheduler import Scheduler
 from service.settings import Settings
 from service.workers import Workers
 
@@ -37,7 +38,7 @@ class State:
     """
 
     settings: Settings
-    inference: Workers
+    inference: Scheduler
     simulation: Workers
     metrics: Metrics
     load: Loader

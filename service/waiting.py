@@ -5,7 +5,8 @@ A rollout asks between two steps whether it is still wanted, so its worker is fr
 
 import asyncio
 import threading
-from collections.abc import AsyncGenerator, Callable, Iterator
+from collections.abc import AsyncGenerator, Callable
+from concurrent.futures import Future
 from contextlib import suppress
 from typing import TypeVar
 
@@ -13,7 +14,6 @@ from fastapi import Request
 
 from service.errors import DeadlineExceededError, InvalidValueError
 from service.settings import Settings
-from service.workers import Workers
 
 T = TypeVar("T")
 
@@ -65,10 +65,8 @@ def timeout_s(request: Request, settings: Settings) -> float:
     return min(int(text) / 1000, settings.deadline_s)
 
 
-async def answered(
-    request: Request, workers: Workers, timeout: float, call: Callable[[Patience], T]
-) -> T:
-    """Run a call in a worker and return what it returns.
+async def answered(request: Request, timeout: float, submit: Callable[[Patience], Future[T]]) -> T:
+    """Submit a call and return what it returns.
 
     Raises
     ------
@@ -77,10 +75,10 @@ async def answered(
     DeadlineExceededError
         When it takes longer than ``timeout`` seconds, the wait in the queue included.
     QueueFullError
-        When no worker can take it.
+        When it is not taken.
     """
     patience = Patience()
-    work = asyncio.ensure_future(workers.run(call, patience))
+    work = asyncio.wrap_future(submit(patience))
     gone = asyncio.ensure_future(_disconnect(request))
     try:
         done, _ = await asyncio.wait(
@@ -101,29 +99,25 @@ async def answered(
 
 async def streamed(
     request: Request,
-    workers: Workers,
     timeout: float,
-    produce: Callable[[Patience], Iterator[T]],
+    submit: Callable[[Patience, Callable[[T], object]], Future[None]],
 ) -> AsyncGenerator[T]:
-    """Yield what a generator yields in a worker, as it comes, until the client goes away.
+    """Submit a call and yield what it hands over, as it comes, until the client goes away.
 
     Raises
     ------
     DeadlineExceededError
         When the whole takes longer than ``timeout`` seconds, the wait in the queue included.
     QueueFullError
-        When no worker can take it.
+        When it is not taken.
     """
     loop = asyncio.get_running_loop()
     ends = loop.time() + timeout
     events: asyncio.Queue[T | None] = asyncio.Queue()
     patience = Patience()
-
-    def work() -> None:
-        for event in produce(patience):
-            loop.call_soon_threadsafe(events.put_nowait, event)
-
-    running = asyncio.ensure_future(workers.run(work))
+    running = asyncio.wrap_future(
+        submit(patience, lambda event: loop.call_soon_threadsafe(events.put_nowait, event))
+    )
     gone = asyncio.ensure_future(_disconnect(request))
     for end in (running, gone):
         end.add_done_callback(lambda _: events.put_nowait(None))

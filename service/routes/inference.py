@@ -19,11 +19,13 @@ from service.protocol import (
     ServerMetadata,
     ServerReady,
 )
-from service.rollout import Predictor, assemble, stacked, steps_after
+from service.rollout import Outputs, Predictor, assemble, stacked
+from service.scheduler import Begun
 from service.state import ServiceState, State
 from service.tensors import (
     LENGTH_HEADER,
     Message,
+    Query,
     inputs_of,
     outputs_of,
     read_query,
@@ -33,7 +35,6 @@ from service.tensors import (
 from service.waiting import (
     CLIENT_CLOSED_REQUEST,
     ClientGoneError,
-    Patience,
     answered,
     timeout_s,
 )
@@ -160,13 +161,12 @@ async def _infer(
 ) -> Response:
     predictor = _predictor(service, name, version)
     body = await read_body(request)
-    length = request.headers.get(LENGTH_HEADER)
+    batch = Batch(body, request.headers.get(LENGTH_HEADER), predictor, service)
     try:
         message = await answered(
             request,
-            service.inference,
             timeout_s(request, service.settings),
-            partial(_answer, body, length, predictor, service),
+            partial(service.inference.submit, batch),
         )
     except ClientGoneError:
         return Response(status_code=CLIENT_CLOSED_REQUEST)
@@ -176,20 +176,40 @@ async def _infer(
     return Response(message.content, headers=headers, media_type=OCTETS)
 
 
-def _answer(
-    body: bytes, length: str | None, predictor: Predictor, service: State, patience: Patience
-) -> Message:
-    """Parse, forecast and write, in a worker."""
-    patience.check()
-    started = time.perf_counter()
-    manifest = predictor.manifest
-    text, binary = split(body, length)
-    request = parse_json(text, InferRequest)
-    query = read_query(request, binary, manifest, service.settings.max_batch)
-    decoded = time.perf_counter()
-    first = predictor.encode(query.frames)
-    encoded = time.perf_counter()
-    outputs = stacked(steps_after(predictor, first, query.horizon, patience.check))
-    taken = timing(started, decoded, encoded)
-    service.metrics.forecast(manifest.label, taken, batch=len(query.frames))
-    return write_answer(query, manifest, assemble(outputs, manifest.covariance))
+class Batch:
+    """A batch of forecasts on its way through the scheduler."""
+
+    _query: Query
+    _moments: tuple[float, float, float]
+
+    def __init__(
+        self, body: bytes, length: str | None, predictor: Predictor, service: State
+    ) -> None:
+        self._body = body
+        self._length = length
+        self._predictor = predictor
+        self._service = service
+        self._steps: list[Outputs] = []
+
+    def begin(self) -> Begun:
+        """Parse the body and encode the frames."""
+        started = time.perf_counter()
+        text, binary = split(self._body, self._length)
+        request = parse_json(text, InferRequest)
+        most = self._service.settings.max_batch
+        self._query = read_query(request, binary, self._predictor.manifest, most)
+        decoded = time.perf_counter()
+        first = self._predictor.encode(self._query.frames)
+        self._moments = (started, decoded, time.perf_counter())
+        return Begun(self._predictor, first, self._query.horizon)
+
+    def step(self, index: int, outputs: Outputs) -> None:  # noqa: ARG002
+        """Keep a step's outputs."""
+        self._steps.append(outputs)
+
+    def finish(self) -> Message:
+        """Write the answer."""
+        manifest = self._predictor.manifest
+        self._service.metrics.forecast(manifest.label, timing(*self._moments))
+        forecast = assemble(stacked(self._steps), manifest.covariance)
+        return write_answer(self._query, manifest, forecast)

@@ -1,24 +1,19 @@
 """``POST /predict`` and ``/predict/stream``: four frames in, a forecast out."""
 
-from collections.abc import AsyncGenerator, Callable, Iterator
+from collections.abc import AsyncGenerator, Callable
+from concurrent.futures import Future
 from functools import partial
 
 from fastapi import APIRouter, Request, Response
 from fastapi.sse import EventSourceResponse, format_sse_event
 
-from rollcast.http import (
-    ForecastSummary,
-    PredictRequest,
-    PredictResponse,
-    StreamDone,
-    StreamStep,
-)
+from rollcast.http import PredictRequest, PredictResponse, StreamDone, StreamStep
 from service.bodies import JSON, MULTIPART, media_type, parse_json, read_body, read_form
 from service.errors import ServiceError
-from service.forecasts import answer, stream
+from service.forecasts import StreamedForecast, WholeForecast
 from service.openapi import body_of, problems_of
 from service.problems import document
-from service.state import ServiceState, State
+from service.state import ServiceState
 from service.waiting import (
     CLIENT_CLOSED_REQUEST,
     ClientGoneError,
@@ -47,9 +42,10 @@ async def predict(request: Request, service: ServiceState) -> Response:
     try:
         content = await answered(
             request,
-            service.inference,
             timeout_s(request, service.settings),
-            partial(_answer, parse, service),
+            partial(
+                service.inference.submit, WholeForecast(parse, service.registry, service.metrics)
+            ),
         )
     except ClientGoneError:
         return Response(status_code=CLIENT_CLOSED_REQUEST)
@@ -73,12 +69,14 @@ async def predict_stream(request: Request, service: ServiceState) -> Response:
     """Forecast as /predict does, and send every step as soon as it is there."""
     service.require_serving()
     parse = await _body(request)
-    events = streamed(
-        request,
-        service.inference,
-        timeout_s(request, service.settings),
-        lambda patience: _stream(parse, service, patience),
-    )
+
+    def submit(
+        patience: Patience, emit: Callable[[StreamStep | StreamDone], object]
+    ) -> Future[None]:
+        forecast = StreamedForecast(parse, service.registry, service.metrics, emit)
+        return service.inference.submit(forecast, patience)
+
+    events = streamed(request, timeout_s(request, service.settings), submit)
     # What is refused before the first step is refused as by /predict.
     first = await anext(events, None)
     return EventSourceResponse(_lines(first, events))
@@ -90,26 +88,6 @@ async def _body(request: Request) -> Callable[[], PredictRequest]:
         return partial(parse_json, await read_body(request), PredictRequest)
     form = await read_form(request, PredictRequest, lists=frozenset({"frames"}))
     return lambda: form
-
-
-def _answer(parse: Callable[[], PredictRequest], service: State, patience: Patience) -> str:
-    response = answer(parse(), service.registry, patience)
-    _count(response, service)
-    return response.model_dump_json()
-
-
-def _stream(
-    parse: Callable[[], PredictRequest], service: State, patience: Patience
-) -> Iterator[StreamStep | StreamDone]:
-    for event in stream(parse(), service.registry, patience):
-        if isinstance(event, StreamDone):
-            _count(event, service)
-        yield event
-
-
-def _count(summary: ForecastSummary, service: State) -> None:
-    model = f"{summary.model.name}@{summary.model.version}"
-    service.metrics.forecast(model, summary.timing_ms, batch=1)
 
 
 async def _lines(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rollcast.manifest import FRAMES_INPUT, GOLDEN_FILE, MANIFEST_FILE, Manifest
-from service.rollout import Step, assemble, stacked, steps_after
+from service.rollout import Step, assemble, roll_out
 from service.runtime import OnnxPredictor
 from service.settings import Settings
 
@@ -39,7 +39,7 @@ def frames(folder) -> np.ndarray:
 
 
 def forecast(predictor, frames, horizon):
-    outputs = stacked(steps_after(predictor, predictor.encode(frames), horizon))
+    outputs = roll_out(predictor, frames, horizon)
     return assemble(outputs, predictor.manifest.covariance)
 
 

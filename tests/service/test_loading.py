@@ -7,7 +7,7 @@ import pytest
 
 from rollcast.manifest import CARD_FILE, ENCODER_FILE, GOLDEN_FILE, HASHED_FILES, MANIFEST_FILE
 from service.loading import load_registry
-from service.rollout import stacked, steps_after
+from service.rollout import roll_out
 from tests.service.samples import DotPredictor, dot, manifest
 
 FRAMES = np.stack([dot(40 + 2 * index, 60 + index) for index in range(4)])[None]
@@ -22,7 +22,7 @@ def write(tmp_path):
         folder.mkdir(parents=True)
         described = manifest(name=name, version=version, **changes)
         predictor = DotPredictor(described)
-        values = stacked(steps_after(predictor, predictor.encode(FRAMES), 3))
+        values = roll_out(predictor, FRAMES, 3)
         np.savez(folder / GOLDEN_FILE, frames=FRAMES, **(values | (golden or {})))
         for file in HASHED_FILES:
             if file != GOLDEN_FILE:

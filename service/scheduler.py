@@ -1,0 +1,298 @@
+"""Forecasts on a few threads: frames are encoded one request at a time, rollouts step together.
+
+A thread takes what is there in this order: answers to write, frames to encode, a rollout to lead.
+Whoever leads a model's rollout steps all requests that have joined it, so while frames wait the
+next rollout grows, and the price of a step is shared. A request joins and leaves between two steps.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from prometheus_client import Gauge
+
+from service.errors import QueueFullError
+from service.rollout import Arrays, Outputs, Predictor, Step
+from service.waiting import Patience
+
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
+
+
+class Begun(NamedTuple):
+    """A request whose frames are encoded."""
+
+    predictor: Predictor
+    first: Step
+    horizon: int
+
+
+class Job(Protocol[T_co]):
+    """A request on its way to its answer; every method is called in some thread of the scheduler.
+
+    Whatever a method raises becomes the answer.
+    """
+
+    def begin(self) -> Begun:
+        """Decode and encode the frames."""
+        ...
+
+    def step(self, index: int, outputs: Outputs) -> None:
+        """Take the outputs [B, N, ...] of a step, the first included."""
+        ...
+
+    def finish(self) -> T_co:
+        """Return the answer, after the last step."""
+        ...
+
+
+@dataclass(eq=False)
+class _Member(Generic[T]):
+    """A request inside the scheduler."""
+
+    job: Job[T]
+    patience: Patience
+    future: Future[T]
+    rows: int = 0
+    horizon: int = 0
+    steps: int = 0
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has all its steps."""
+        return self.steps == self.horizon
+
+    def begin(self) -> Begun:
+        """Begin, and take the first step's outputs."""
+        self.patience.check()
+        begun = self.job.begin()
+        self.rows, self.horizon = len(begun.first.outputs["positions"]), begun.horizon
+        self.take(begun.first.outputs)
+        return begun
+
+    def take(self, outputs: Outputs) -> None:
+        """Take the outputs of the next step."""
+        self.job.step(self.steps, outputs)
+        self.steps += 1
+
+    def finish(self) -> None:
+        """Make the answer."""
+        self.guarded(lambda: self.future.set_result(self.job.finish()))
+
+    def guarded(self, act: Callable[[], None]) -> bool:
+        """Do something; a failure is this request's answer. Return whether it went well."""
+        try:
+            act()
+        except BaseException as error:  # the thread serves other requests
+            self.future.set_exception(error)
+            return False
+        return True
+
+
+@dataclass(eq=False)
+class _Rollout:
+    """The requests that step together through one model."""
+
+    predictor: Predictor
+    members: list[_Member[Any]] = field(default_factory=list[_Member[Any]])
+    arrivals: list[tuple[_Member[Any], Arrays]] = field(
+        default_factory=list[tuple[_Member[Any], Arrays]]
+    )
+    led: bool = False
+    _state: Arrays = field(default_factory=dict[str, np.ndarray])
+
+    @property
+    def rows(self) -> int:
+        """Forecasts in it, those that join with the next step included."""
+        here = sum(member.rows for member in self.members)
+        return here + sum(member.rows for member, _ in self.arrivals)
+
+    def join(self, arrived: list[tuple[_Member[Any], Arrays]]) -> None:
+        """Take requests in."""
+        for member, state in arrived:
+            if self.members:
+                known = self._state
+                state = {name: np.concatenate([known[name], state[name]]) for name in known}
+            self._state = state
+            self.members.append(member)
+
+    def advance(self) -> list[_Member[Any]]:
+        """Step all that somebody waits for; return those that have ended."""
+        self._keep([m for m in self.members if m.guarded(m.patience.check)])
+        if not self.members:
+            return []
+        try:
+            step = self.predictor.advance(self._state)
+        except BaseException as error:  # whatever the runtime raises
+            for member in self.members:
+                member.future.set_exception(error)
+            self.members = []
+            return []
+        self._state = step.state
+        going_on: list[_Member[Any]] = []
+        begin = 0
+        for member in self.members:
+            rows = slice(begin, begin + member.rows)
+            begin += member.rows
+            outputs: Outputs = {name: values[rows] for name, values in step.outputs.items()}
+            if member.guarded(lambda m=member, o=outputs: m.take(o)):
+                going_on.append(member)
+        ended = [member for member in going_on if member.ended]
+        self._keep([member for member in going_on if not member.ended])
+        return ended
+
+    def _keep(self, kept: list[_Member[Any]]) -> None:
+        """Let go of all other members."""
+        if len(kept) == len(self.members):
+            return
+        stays = np.repeat([m in kept for m in self.members], [m.rows for m in self.members])
+        self._state = {name: values[stays] for name, values in self._state.items()}
+        self.members = kept
+
+
+class Scheduler:
+    """Threads that answer a bounded number of requests.
+
+    Parameters
+    ----------
+    threads
+        As many as there are cores: each computes all the time.
+    capacity
+        Requests that it may hold.
+    max_batch
+        Forecasts with which a rollout begins although more frames wait.
+    shown, batches
+        Follow the number of requests held, and of forecasts that step together.
+    """
+
+    def __init__(
+        self,
+        threads: int,
+        capacity: int,
+        max_batch: int,
+        shown: Gauge,
+        batches: Callable[[Predictor, int], None],
+    ) -> None:
+        self._capacity = capacity
+        self._max_batch = max_batch
+        self._shown = shown
+        self._batches = batches
+        self._held = 0
+        self._closed = False
+        self._waiting: deque[_Member[Any]] = deque()
+        self._rollouts: dict[Predictor, _Rollout] = {}
+        self._ended: deque[_Member[Any]] = deque()
+        self._idle = 0
+        self._changed = threading.Condition()
+        self._threads = [
+            threading.Thread(target=self._work, name=f"forecast-{index}")
+            for index in range(threads)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def idle(self) -> bool:
+        """Whether it holds no request."""
+        return self._held == 0
+
+    def submit(self, job: Job[T], patience: Patience) -> Future[T]:
+        """Take a request. Cancelled before its turn, it never begins.
+
+        Raises
+        ------
+        QueueFullError
+            When ``capacity`` requests are being held.
+        """
+        future: Future[T] = Future()
+        with self._changed:
+            if self._held == self._capacity:
+                raise QueueFullError(
+                    f"{self._capacity} requests are being worked on or wait already"
+                )
+            self._held += 1
+            self._shown.inc()
+            self._waiting.append(_Member(job, patience, future))
+            self._changed.notify()
+        future.add_done_callback(self._release)
+        return future
+
+    def _release(self, _: Future[T]) -> None:
+        with self._changed:
+            self._held -= 1
+            self._shown.dec()
+
+    def close(self) -> None:
+        """Let rollouts end, drop what waits."""
+        with self._changed:
+            self._closed = True
+            dropped, self._waiting = self._waiting, deque()
+            self._changed.notify_all()
+        for member in dropped:
+            member.future.cancel()
+        for thread in self._threads:
+            thread.join()
+
+    def _work(self) -> None:
+        while (act := self._next()) is not None:
+            act()
+
+    def _next(self) -> Callable[[], None] | None:
+        """Wait for something to do; None when the scheduler is closed."""
+        with self._changed:
+            while (act := self._choose()) is None and not self._closed:
+                self._idle += 1
+                self._changed.wait()
+                self._idle -= 1
+            return act
+
+    def _choose(self) -> Callable[[], None] | None:
+        """Choose what to do next, under the lock."""
+        if self._ended:
+            return self._ended.popleft().finish
+        free = [rollout for rollout in self._rollouts.values() if not rollout.led]
+        full = [rollout for rollout in free if rollout.rows >= self._max_batch]
+        while self._waiting and not full:
+            member = self._waiting.popleft()
+            if member.future.set_running_or_notify_cancel():
+                return lambda: self._begin(member)
+        if not free:
+            return None
+        chosen = (full or free)[0]
+        chosen.led = True
+        return lambda: self._lead(chosen)
+
+    def _begin(self, member: _Member[Any]) -> None:
+        begun: list[Begun] = []
+        if not member.guarded(lambda: begun.append(member.begin())):
+            return
+        if member.ended:
+            member.finish()
+            return
+        predictor, first, _ = begun[0]
+        with self._changed:
+            rollout = self._rollouts.setdefault(predictor, _Rollout(predictor))
+            rollout.arrivals.append((member, first.state))
+
+    def _lead(self, rollout: _Rollout) -> None:
+        """Step a rollout until nobody is left in it."""
+        while True:
+            with self._changed:
+                arrived, rollout.arrivals = rollout.arrivals, []
+                rollout.join(arrived)
+                if not rollout.members:
+                    del self._rollouts[rollout.predictor]
+                    return
+                if self._ended and not self._idle:
+                    rollout.led = False
+                    return
+            self._batches(rollout.predictor, rollout.rows)
+            ended = rollout.advance()
+            if ended:
+                with self._changed:
+                    self._ended.extend(ended)
+                    self._changed.notify(len(ended))

@@ -1,0 +1,89 @@
+"""What the benchmarks send: one scene's four frames in every form that the service reads."""
+
+import base64
+import io
+import json
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from PIL import Image
+
+from rollcast.simulation import Simulator
+
+HORIZON = 40
+Kind = Literal["binary", "multipart", "json"]
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A request that is ready to be sent."""
+
+    path: str
+    headers: dict[str, str]
+    body: bytes
+
+
+def frames(seed: int = 7) -> np.ndarray:
+    """Four frames of a hemisphere, uint8 [4, 128, 128, 3]."""
+    simulator = Simulator()
+    try:
+        return simulator.sequence("hemisphere", 1, seed, 4).render(128)
+    finally:
+        simulator.close()
+
+
+def png_files(images: np.ndarray) -> list[bytes]:
+    """Encode every frame."""
+    files = [io.BytesIO() for _ in images]
+    for file, image in zip(files, images, strict=True):
+        Image.fromarray(image).save(file, "PNG")
+    return [file.getvalue() for file in files]
+
+
+def payload(kind: Kind, model: str, images: np.ndarray) -> Payload:
+    """Make the request for a forecast of HORIZON steps."""
+    if kind == "binary":
+        return _binary(model, images)
+    if kind == "json":
+        encoded = [base64.b64encode(file).decode() for file in png_files(images)]
+        body = json.dumps({"model": model, "frames": encoded, "horizon": HORIZON}).encode()
+        return Payload("/predict", {"Content-Type": "application/json"}, body)
+    return _multipart(model, images)
+
+
+def _binary(model: str, images: np.ndarray) -> Payload:
+    tensor = images[None].tobytes()
+    header = json.dumps(
+        {
+            "parameters": {"binary_data_output": True},
+            "inputs": [
+                {
+                    "name": "frames",
+                    "datatype": "UINT8",
+                    "shape": [1, *images.shape],
+                    "parameters": {"binary_data_size": len(tensor)},
+                },
+                {"name": "horizon", "datatype": "INT64", "shape": [1], "data": [HORIZON]},
+            ],
+        }
+    ).encode()
+    headers = {
+        "Content-Type": "application/octet-stream",
+        "Inference-Header-Content-Length": str(len(header)),
+    }
+    return Payload(f"/v2/models/{model}/infer", headers, header + tensor)
+
+
+def _multipart(model: str, images: np.ndarray) -> Payload:
+    boundary = "rollcast-benchmark"
+    parts = [("model", "", model.encode()), ("horizon", "", str(HORIZON).encode())]
+    parts += [("frames", '; filename="frame.png"', file) for file in png_files(images)]
+    lines = [
+        f'--{boundary}\r\nContent-Disposition: form-data; name="{name}"{more}\r\n\r\n'.encode()
+        + content
+        + b"\r\n"
+        for name, more, content in parts
+    ]
+    headers = {"Content-Type": f"multipart/form-data; boundary={boundary}"}
+    return Payload("/predict", headers, b"".join(lines) + f"--{boundary}--\r\n".encode())

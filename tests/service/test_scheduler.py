@@ -1,0 +1,218 @@
+"""Rollouts that step together answer as rollouts alone do."""
+
+import threading
+from concurrent.futures import wait
+
+import numpy as np
+import pytest
+from prometheus_client import Gauge
+
+from service.errors import QueueFullError
+from service.rollout import Step
+from service.scheduler import Begun, Scheduler
+from service.waiting import ClientGoneError, Patience
+from tests.service import samples
+
+SECONDS = 30
+
+
+class Counting:
+    """A network whose numbers count up from what the frames show; it notes how many step."""
+
+    manifest = samples.manifest()
+
+    def __init__(self) -> None:
+        self.batches: list[int] = []
+        self.gate = threading.Event()
+        self.gate.set()
+
+    def advance(self, state):
+        assert self.gate.wait(SECONDS)
+        self.batches.append(len(state["count"]))
+        return self.step(state["count"] + 1)
+
+    def step(self, count):
+        return Step({"count": count}, {"positions": np.stack([count, count], axis=-1)[:, None]})
+
+
+class Count:
+    """A job that begins with some numbers and keeps what it is told."""
+
+    def __init__(self, network, begin, horizon, encoding=None):
+        self.network, self.horizon = network, horizon
+        self.numbers = np.array(begin, np.float32)
+        self.encoding = encoding
+        self.seen = []
+
+    def begin(self):
+        if self.encoding is not None:
+            assert self.encoding.wait(SECONDS)
+        return Begun(self.network, self.network.step(self.numbers), self.horizon)
+
+    def step(self, index, outputs):
+        assert index == len(self.seen)
+        self.seen.append(outputs["positions"][:, 0, 0])
+
+    def finish(self):
+        return np.stack(self.seen, axis=1).tolist()
+
+    @property
+    def expected(self):
+        return (self.numbers[:, None] + np.arange(self.horizon)).tolist()
+
+
+@pytest.fixture
+def network():
+    return Counting()
+
+
+@pytest.fixture
+def start():
+    """Make schedulers with a number of threads."""
+    made: list[Scheduler] = []
+
+    def _start(threads=2, capacity=64, max_batch=16) -> Scheduler:
+        held = Gauge("held", "Requests", registry=None)
+        made.append(Scheduler(threads, capacity, max_batch, held, lambda _, __: None))
+        return made[-1]
+
+    yield _start
+    for scheduler in made:
+        scheduler.close()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 4])
+def test_requests_of_any_size_and_horizon_get_their_own_steps(start, network, threads):
+    scheduler = start(threads)
+    generator = np.random.default_rng(5)
+    jobs = [
+        Count(network, generator.integers(0, 1000, size=1 + k % 3), 1 + int(generator.integers(30)))
+        for k in range(60)
+    ]
+    futures = [scheduler.submit(job, Patience()) for job in jobs]
+    assert [future.result(SECONDS) for future in futures] == [job.expected for job in jobs]
+    assert scheduler.idle
+
+
+def test_what_waits_is_encoded_first_and_then_steps_together(start, network):
+    scheduler = start(threads=1)
+    encoding = threading.Event()
+    jobs = [Count(network, [10 * k], 5, encoding) for k in range(8)]
+    futures = [scheduler.submit(job, Patience()) for job in jobs]
+    encoding.set()
+    wait(futures, SECONDS)
+    assert network.batches == [8] * 4
+
+
+def test_a_full_batch_steps_although_frames_wait(start, network):
+    scheduler = start(threads=1, max_batch=3)
+    encoding = threading.Event()
+    jobs = [Count(network, [10 * k], 5, encoding) for k in range(7)]
+    futures = [scheduler.submit(job, Patience()) for job in jobs]
+    encoding.set()
+    wait(futures, SECONDS)
+    assert network.batches == [3] * 4 + [3] * 4 + [1] * 4
+
+
+def test_a_request_joins_while_others_step(start, network):
+    scheduler = start(threads=2)
+    network.gate.clear()
+    first = scheduler.submit(Count(network, [0], 50), Patience())
+    second = Count(network, [100], 50)
+    joined = scheduler.submit(second, Patience())
+    while not network.gate.is_set():
+        if len(second.seen) == 1:
+            network.gate.set()
+    assert (first.result(SECONDS), joined.result(SECONDS)) == (
+        [np.arange(50.0).tolist()],
+        second.expected,
+    )
+    assert max(network.batches) == 2
+    assert sum(network.batches) == 2 * 49
+
+
+def test_whoever_goes_away_leaves_with_the_next_step(start, network):
+    scheduler = start(threads=1)
+    patience = Patience()
+    encoding = threading.Event()
+    leaving = scheduler.submit(Count(network, [0, 1], 1000, encoding), patience)
+    staying = Count(network, [7], 20, encoding)
+    stays = scheduler.submit(staying, Patience())
+    patience.end()
+    encoding.set()
+    assert stays.result(SECONDS) == staying.expected
+    assert isinstance(leaving.exception(SECONDS), ClientGoneError)
+    assert set(network.batches) == {1}
+
+
+def test_one_failure_is_the_answer_of_one_request(start, network):
+    class Failing(Count):
+        def step(self, index, outputs):
+            if index == 3:
+                raise ValueError("a number is not finite")
+            super().step(index, outputs)
+
+    scheduler = start(threads=1)
+    encoding = threading.Event()
+    failing = scheduler.submit(Failing(network, [5], 10, encoding), Patience())
+    other = Count(network, [6], 10, encoding)
+    answered = scheduler.submit(other, Patience())
+    encoding.set()
+    assert answered.result(SECONDS) == other.expected
+    with pytest.raises(ValueError, match="not finite"):
+        failing.result(SECONDS)
+
+
+def test_a_network_that_fails_fails_those_who_step_with_it(start, network):
+    def advance(_):
+        raise RuntimeError("out of memory")
+
+    network.advance = advance
+    scheduler = start(threads=1)
+    failed = [scheduler.submit(Count(network, [k], 3), Patience()) for k in range(3)]
+    for future in failed:
+        assert isinstance(future.exception(SECONDS), RuntimeError)
+    after = Count(Counting(), [1], 3)
+    assert scheduler.submit(after, Patience()).result(SECONDS) == after.expected
+
+
+def test_a_full_scheduler_refuses(start, network):
+    scheduler = start(threads=1, capacity=2)
+    network.gate.clear()
+    held = [scheduler.submit(Count(network, [k], 3), Patience()) for k in range(2)]
+    with pytest.raises(QueueFullError, match="2 requests"):
+        scheduler.submit(Count(network, [9], 3), Patience())
+    network.gate.set()
+    wait(held, SECONDS)
+    late = Count(network, [9], 3)
+    assert scheduler.submit(late, Patience()).result(SECONDS) == late.expected
+
+
+def test_what_is_cancelled_before_its_turn_never_begins(start, network):
+    scheduler = start(threads=1)
+    network.gate.clear()
+    running = scheduler.submit(Count(network, [0], 3), Patience())
+    while not running.running():
+        pass
+    encoding = threading.Event()
+    blocking = scheduler.submit(Count(network, [1], 2, encoding), Patience())
+    dropped = Count(network, [2], 3)
+    assert scheduler.submit(dropped, Patience()).cancel()
+    encoding.set()
+    network.gate.set()
+    wait([running, blocking], SECONDS)
+    assert dropped.seen == []
+
+
+def test_closing_answers_what_steps_and_drops_what_waits(network):
+    held = Gauge("held", "Requests", registry=None)
+    scheduler = Scheduler(1, 9, 16, held, lambda _, __: None)
+    network.gate.clear()
+    running = scheduler.submit(Count(network, [0], 3), Patience())
+    while network.gate.is_set() or not running.running():
+        pass
+    closing = threading.Thread(target=scheduler.close)
+    closing.start()
+    network.gate.set()
+    closing.join(SECONDS)
+    assert running.result(SECONDS) == [[0, 1, 2]]
