@@ -193,6 +193,8 @@ class TrainingStream(IterableDataset[Batch]):
         One for every group.
     practice
         Windows without frames beside every batch; with any, all windows have scenery.
+    blind
+        First batches, in which no window has frames.
     """
 
     def __init__(
@@ -206,6 +208,7 @@ class TrainingStream(IterableDataset[Batch]):
         first_batch: int,
         surveys: Sequence[Survey],
         practice: int = 0,
+        blind: int = 0,
     ) -> None:
         if max(latest_starts) > LAST_START:
             raise ValueError(
@@ -216,6 +219,7 @@ class TrainingStream(IterableDataset[Batch]):
             for group, survey in zip(groups, surveys, strict=True)
         ]
         self._practice = practice
+        self._blind = blind
         self._sizes = [len(group) for group in groups]
         self._shares = np.asarray(shares) / np.sum(shares)
         self._latest_starts = latest_starts
@@ -229,11 +233,12 @@ class TrainingStream(IterableDataset[Batch]):
         first, stride = (0, 1) if worker is None else (worker.id, worker.num_workers)
         number = self._first_batch + first
         while True:
-            yield self._batch(np.random.default_rng([self._seed, number]))
+            generator = np.random.default_rng([self._seed, number])
+            yield self._batch(generator, seen=number >= self._blind)
             number += stride
 
-    def _batch(self, generator: np.random.Generator) -> Batch:
-        batch = collate([self._draw(generator, seen=True) for _ in range(self._batch_size)])
+    def _batch(self, generator: np.random.Generator, *, seen: bool) -> Batch:
+        batch = collate([self._draw(generator, seen=seen) for _ in range(self._batch_size)])
         if self._practice:
             unseen = [self._draw(generator, seen=False) for _ in range(self._practice)]
             batch["practice"] = collate(unseen)

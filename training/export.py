@@ -40,8 +40,9 @@ from training.card import LICENCE, model_card
 from training.dataset import Window, collate, compared_horizon
 from training.evaluate import EvaluationSet, evaluation_sets, metric_rows, run
 from training.metrics import Forecasts
-from training.models.fieldnet import FieldNet
+from training.models.eye import Eye
 from training.models.predictor import Network, Observation, State
+from training.models.sighted import AttendedTransition
 from training.recipes import Recipe
 from training.settings import keep_runtime_silent
 from training.trainer import BEST
@@ -150,8 +151,9 @@ def export(
     """
     folder.mkdir(parents=True, exist_ok=True)
     predictor = trained.predictor.cpu().eval()
-    if isinstance(predictor, FieldNet):
-        round_to_halves(predictor.eye)
+    for module in predictor.modules():
+        if isinstance(module, Eye | AttendedTransition):
+            round_to_halves(module)
     sample = collate(_spread(validation, GOLDEN_SEQUENCES))["frames"]
     _write_graphs(predictor, sample, folder)
     horizon = trained.recipe.trained_horizon

@@ -75,29 +75,32 @@ class Member:
 
 @dataclass(frozen=True)
 class Explicit:
-    """What trains a network with an explicit state besides its forecasts.
+    """What trains a network with an eye besides its forecasts.
 
     Attributes
     ----------
     reading
-        Loss of what the eye reads of the frames.
+        Loss of what the eye reads of the frames; None leaves a taught eye as it is.
     motion
         Loss of balls that are moved from their true states over the true ground, so that motion is
-        learned while the eye cannot see yet.
+        learned while the eye cannot see yet; None judges them as forecasts are.
     practice
         Such windows beside every batch; they cost no rendering.
     curriculum
         Horizons of the practice.
     motion_rate
-        Learning rate of what moves the balls, relative to everything else's: trained motion is
+        Learning rate of what moves explicit balls, relative to everything else's: trained motion is
         thrown off by the rate that an eye needs.
+    blind
+        Share of the budget in which there is practice alone.
     """
 
-    reading: ReadingLoss
-    motion: MotionLoss
+    reading: ReadingLoss | None
+    motion: MotionLoss | None
     practice: int
     curriculum: tuple[Milestone, ...]
     motion_rate: float = 1.0
+    blind: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -336,6 +339,45 @@ def field_several_balls(objects: int) -> Recipe:
     )
 
 
+def sighted_one_ball() -> Recipe:
+    """PosNet, DispNet and ProbNet for one ball with FieldNet's eye (``--init models/fieldnet/1``).
+
+    The eye stays as it is. Transition and heads practise from the truth first, which costs neither
+    rendering nor seeing, and then learn what the eye misreads.
+    """
+    return replace(
+        one_ball(),
+        name="sighted-one-ball",
+        preset="sighted",
+        data=FIELD_DATA,
+        sequences=160_000,
+        curriculum=(Milestone(0.05, 2), Milestone(0.2, 8), Milestone(0.5, 20)),
+        explicit=Explicit(
+            None, None, practice=32, curriculum=(Milestone(0.05, 2), Milestone(0.5, 20)), blind=0.7
+        ),
+        learning_rate=1.5e-3,
+    )
+
+
+def sighted_one_ball_between() -> Recipe:
+    """InterpNet with FieldNet's eye, which learns to read the final frame too."""
+    between = one_ball_between()
+    return replace(
+        sighted_one_ball(),
+        name="sighted-one-ball-between",
+        members=between.members,
+        final_step=between.final_step,
+        curriculum=(Milestone(0.05, 2), Milestone(0.2, 10), Milestone(0.6, 40)),
+        explicit=Explicit(
+            ReadingLoss(between.final_step),
+            None,
+            practice=32,
+            curriculum=(Milestone(0.05, 2), Milestone(0.6, 40)),
+            blind=0.7,
+        ),
+    )
+
+
 def paper_posnet() -> Recipe:
     """PosNet as published, on ellipsoidal bowls; give it ImageNet's weights (``--imagenet``)."""
     return replace(
@@ -389,5 +431,7 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "field-one-ball-continued": field_one_ball_continued,
     "field-2-balls": partial(field_several_balls, 2),
     "field-3-balls": partial(field_several_balls, 3),
+    "sighted-one-ball": sighted_one_ball,
+    "sighted-one-ball-between": sighted_one_ball_between,
     "paper-posnet": paper_posnet,
 }

@@ -20,7 +20,8 @@ from training.losses import final_loss
 from training.metrics import forecast
 from training.models.fieldnet import FieldNet, true_state
 from training.models.predictor import Family, Network, Observation, in_float32
-from training.recipes import Explicit, Milestone, Recipe
+from training.models.sighted import Sight, SightedFamily
+from training.recipes import Milestone, Recipe
 from training.simulate import Source, load_recordings, simulate_split
 from training.survey import survey
 
@@ -115,6 +116,10 @@ class Trainer:
         """Training sequences seen so far."""
         return self.batches * self.recipe.batch_size
 
+    @property
+    def _batches_in_all(self) -> int:
+        return self.recipe.sequences // self.recipe.batch_size
+
     def run(self) -> float:
         """Train until the budget is spent, from the last checkpoint on; return the best error."""
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -122,7 +127,7 @@ class Trainer:
         recipe = self.recipe
         windows = validation_windows(recipe, self._pace.simulators)
         stream = iter(self._stream())
-        total = recipe.sequences // recipe.batch_size
+        total = self._batches_in_all
         events = SummaryWriter(str(self.folder / "events"), purge_step=self.sequences)
         progress = tqdm(total=total, initial=self.batches, unit="batch", desc=recipe.name)
         while self.batches < total and not self._schedule.finished:
@@ -157,6 +162,7 @@ class Trainer:
             first_batch=self.batches,
             surveys=[survey(of_source, simulators) for of_source in shards],
             practice=explicit.practice if explicit else 0,
+            blind=math.ceil(explicit.blind * self._batches_in_all) if explicit else 0,
         )
         loader = DataLoader(
             stream,
@@ -178,20 +184,17 @@ class Trainer:
         for parameter in shared["params"]:
             parameter.requires_grad_(spent >= recipe.heads_alone)
         horizon = horizon_at(recipe.curriculum, spent)
-        forecasts = self._autocast_forecasts(batch["frames"].to(self.device), horizon)
-        positions = batch["positions"][:, :, :horizon].to(self.device)
-        spins = batch["angular_velocities"][:, :, :horizon].to(self.device)
-        # All members read the same angular velocity.
-        loss = recipe.spin_loss(next(iter(forecasts.values())), spins)
-        for member in recipe.members:
-            made = forecasts[member.name]
-            loss = loss + member.weight * member.loss(made, positions)
-            if recipe.final_step is not None:
-                final = batch["positions"][:, :, recipe.final_step].to(self.device)
-                loss = loss + member.weight * final_loss(made, final)
-            if recipe.explicit is not None:
-                network = self.family.networks()[member.name]
-                loss = loss + self._explicit_loss(recipe.explicit, network, made, batch, spent)
+        explicit = recipe.explicit
+        if explicit is not None and spent < explicit.blind:
+            loss = self._practice_loss(batch, horizon)
+        else:
+            forecasts = self._autocast_forecasts(batch["frames"].to(self.device), horizon)
+            loss = self._forecast_loss(forecasts, batch, horizon)
+            loss = loss + self._reading_loss(forecasts, batch)
+        if explicit is not None:
+            assert "practice" in batch
+            practised = horizon_at(explicit.curriculum, spent)
+            loss = loss + self._practice_loss(batch["practice"], practised)
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
         self._clip_gradients()
@@ -202,23 +205,58 @@ class Trainer:
         self._schedule.observe(value, recipe.batch_size)
         return value
 
-    def _explicit_loss(
-        self, explicit: Explicit, network: Network, made: Observation, batch: Batch, spent: float
+    def _forecast_loss(
+        self, forecasts: dict[str, Observation], batch: Batch, horizon: int
     ) -> torch.Tensor:
-        """Loss of what an eye read, and of motion from true states."""
-        assert isinstance(network, FieldNet)
-        assert made.reading is not None
-        loss = explicit.reading(made.reading, self._scenery(batch))
-        assert "practice" in batch
-        practice = batch["practice"]
-        centres, ground, measures = self._scenery(practice)
-        horizon = horizon_at(explicit.curriculum, spent)
-        spins = practice["angular_velocities"][:, :, :horizon].to(self.device)
+        """Loss of every member's forecasts of a batch."""
+        recipe = self.recipe
+        positions = batch["positions"].to(self.device)
+        spins = batch["angular_velocities"][:, :, :horizon].to(self.device)
+        # All members read the same angular velocity.
+        loss = recipe.spin_loss(next(iter(forecasts.values())), spins)
+        for member in recipe.members:
+            made = forecasts[member.name]
+            loss = loss + member.weight * member.loss(made, positions[:, :, :horizon])
+            if recipe.final_step is not None:
+                final = positions[:, :, recipe.final_step]
+                loss = loss + member.weight * final_loss(made, final)
+        return loss
+
+    def _reading_loss(
+        self, forecasts: dict[str, Observation], batch: Batch
+    ) -> torch.Tensor | float:
+        """Loss of what the eyes read; zero where none learns."""
+        explicit = self.recipe.explicit
+        if explicit is None or explicit.reading is None:
+            return 0.0
+        scenery = self._scenery(batch)
+        readings = {id(made.reading): made.reading for made in forecasts.values()}
+        losses = [explicit.reading(reading, scenery) for reading in readings.values() if reading]
+        return sum(losses, start=0.0)
+
+    def _practice_loss(self, batch: Batch, horizon: int) -> torch.Tensor:
+        """Loss of forecasts that begin with the truth instead of frames."""
+        recipe, explicit = self.recipe, self.recipe.explicit
+        assert explicit is not None
+        centres, ground, measures = self._scenery(batch)
+        spins = batch["angular_velocities"][:, :, :horizon].to(self.device)
         start = true_state(centres[:, :, :OBSERVED_FRAMES], spins[:, :, 0], ground, measures)
-        moved, turned = network.practise(start, horizon)
+        if isinstance(self.family, SightedFamily):
+            final = None
+            if recipe.final_step is not None:
+                final = centres[:, :, FIRST_FORECAST_FRAME + recipe.final_step, :2]
+            with torch.autocast(self.device.type, torch.bfloat16):
+                made = self.family.practise(Sight(start, final), horizon)
+            return self._forecast_loss(_all_in_float32(made), batch, horizon)
+        assert explicit.motion is not None
+        loss = torch.zeros((), device=self.device)
         truth = centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
-        turning = Observation(moved[..., :2], None, turned)
-        return loss + explicit.motion(moved, truth) + self.recipe.spin_loss(turning, spins)
+        for network in self.family.networks().values():
+            assert isinstance(network, FieldNet)
+            moved, turned = network.practise(start, horizon)
+            turning = Observation(moved[..., :2], None, turned)
+            loss = loss + explicit.motion(moved, truth) + recipe.spin_loss(turning, spins)
+        return loss
 
     def _scenery(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         assert "scenery" in batch
@@ -239,8 +277,7 @@ class Trainer:
 
     def _autocast_forecasts(self, frames: torch.Tensor, horizon: int) -> dict[str, Observation]:
         with torch.autocast(self.device.type, torch.bfloat16):
-            observed: dict[str, Observation] = self.family(frames, horizon)
-        return {name: in_float32(observation) for name, observation in observed.items()}
+            return _all_in_float32(self.family(frames, horizon))
 
     def _validate(self, windows: dict[Source, list[Window]], events: SummaryWriter) -> None:
         """Measure the averaged weights and keep them when their mean error is the best."""
@@ -308,6 +345,10 @@ class Trainer:
         torch.set_rng_state(state["random"].cpu())
 
 
+def _all_in_float32(observed: dict[str, Observation]) -> dict[str, Observation]:
+    return {name: in_float32(observation) for name, observation in observed.items()}
+
+
 def _give_way(worker: int) -> None:  # noqa: ARG001 - the loader passes its number
     """Let rendering fill gaps only: a network's threads wait for the one that lost its core."""
     os.nice(10)
@@ -353,8 +394,10 @@ def load_fitting(network: Network, initial: dict[str, torch.Tensor]) -> list[str
         When none fits.
     """
     own = network.state_dict()
+    # An eye that was taught alone sits in the encoder of a predictor.
+    placed = {n if n in own else f"encoder.{n}": value for n, value in initial.items()}
     fitting = {
-        name: widened for name, value in initial.items()
+        name: widened for name, value in placed.items()
         if name in own and (widened := _widened(name, value, own[name].shape)) is not None
     }  # fmt: skip
     if not fitting:

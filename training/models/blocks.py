@@ -29,6 +29,13 @@ def normalised_frames(frames_BKHW3: Tensor) -> Tensor:
     return torch.cat([last, changes, final], dim=1).flatten(1, 2)
 
 
+def cell_centres(cells: int = GRID) -> Tensor:
+    """Image points (x, y) [2, cells, cells] of a grid's cells, halves of the frame."""
+    along = (torch.arange(cells) + 0.5) * (2 / cells) - 1
+    y, x = torch.meshgrid(along, along, indexing="ij")
+    return torch.stack([x, y])
+
+
 class ResidualConv(nn.Module):
     """x + conv(relu(conv(relu(x)))), initialised as the identity."""
 
@@ -137,12 +144,11 @@ class SpatialReadout(nn.Module):
         self.hidden = nn.Conv2d(width, hidden, 1) if hidden else None
         self.proposals = nn.Conv2d(hidden or width, outputs + 1, 1)
         nn.init.normal_(self.proposals.weight, std=1e-2)
-        centres = (torch.arange(GRID) + 0.5) * (2 / GRID) - 1
-        y, x = torch.meshgrid(centres, centres, indexing="ij")
-        self.register_buffer("coordinates", torch.stack([x, y])[None], persistent=False)
+        coordinates = cell_centres()
+        self.register_buffer("coordinates", coordinates[None], persistent=False)
         shift = torch.zeros(1, outputs, GRID, GRID)
         if relative:
-            shift[:, :2] = torch.stack([x, y])
+            shift[:, :2] = coordinates
         self.register_buffer("shift", shift, persistent=False)
 
     def forward(self, s_BNCHW: Tensor) -> Tensor:

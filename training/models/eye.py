@@ -17,8 +17,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from rollcast.camera import BOWL_HALF_WIDTH_M, NETWORK_FRAME_SIZE
-from rollcast.trajectory import FRAME_RATE_HZ
-from training.models.blocks import PIXEL_UNIT, ResidualConv, normalised_frames
+from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
+from training.models.blocks import PIXEL_UNIT, ResidualConv, cell_centres, normalised_frames
 from training.models.predictor import ANGULAR_VELOCITY_UNIT, Reading
 
 FEATURES = 128
@@ -115,10 +115,8 @@ class FirstLook(nn.Module):
     def __init__(self, frames: int, objects: int) -> None:
         super().__init__()
         fine, middle, coarse = 48, 96, 128
-        self.seen = (objects, frames)
-        along = (torch.arange(NETWORK_FRAME_SIZE) + 0.5) / PIXEL_UNIT - 1
-        y, x = torch.meshgrid(along, along, indexing="ij")
-        self.register_buffer("place", torch.stack([x, y])[None], persistent=False)
+        self.seen = (objects, OBSERVED_FRAMES)
+        self.register_buffer("place", cell_centres(NETWORK_FRAME_SIZE)[None], persistent=False)
         self.stem = nn.Sequential(
             nn.Conv2d(3 * frames + 2, fine, 8, stride=4, padding=2), ResidualConv(fine, fine)
         )
@@ -138,13 +136,16 @@ class FirstLook(nn.Module):
         self.up_32 = nn.Conv2d(middle, fine, 1)
         self.refine_32 = ResidualConv(fine, fine)
         self.ground = nn.Conv2d(fine, 3, 3, padding=1)
-        self.where = nn.Conv2d(middle, objects * frames * 3, 1)
+        self.where = nn.Conv2d(middle, objects * OBSERVED_FRAMES * 3, 1)
+        self.where_final = None if frames == OBSERVED_FRAMES else nn.Conv2d(middle, objects * 3, 1)
         self.measures = nn.Linear(coarse, 2)
 
     def forward(self, frames_BKHW3: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Positions [B, N, K, 2], ground [B, 3, 32, 32] and measures [B, 2]."""
+        """Positions [B, N, K, 2] in the seen frames, ground [B, 3, 32, 32] and measures [B, 2]."""
         image = normalised_frames(frames_BKHW3)
-        image = torch.cat([image, self.place.expand(image.shape[0], -1, -1, -1)], dim=1)
+        observed, final = image[:, : 3 * OBSERVED_FRAMES], image[:, 3 * OBSERVED_FRAMES :]
+        # The final frame comes last: an eye for four frames is widened by inputs that it ignores.
+        image = torch.cat([observed, self.place.expand(image.shape[0], -1, -1, -1), final], dim=1)
         image = image.contiguous(memory_format=torch.channels_last)
         at_32 = self.stem(image)
         at_16 = self.down_16(at_32)
@@ -154,6 +155,9 @@ class FirstLook(nn.Module):
         ground = self.ground(at_32.relu()).float()
         ground = torch.cat([ground[:, :2].tanh(), ground[:, 2:]], dim=1)
         positions = _attended(self.where(at_16.relu()), self.seen)
+        if self.where_final is not None:
+            final_positions = _attended(self.where_final(at_16.relu()), (self.seen[0], 1))
+            positions = torch.cat([positions, final_positions], dim=2)
         measures = self.measures(at_8.relu().float().mean(dim=(2, 3))).float()
         return positions, ground, measures
 
@@ -185,13 +189,15 @@ class CloserLook(nn.Module):
             nn.Linear(24 * (PATCH // 4) ** 2, 256),
             nn.ReLU(),
         )
-        self.correction = nn.Linear(256, 2 * frames)
+        self.correction = nn.Linear(256, 2 * OBSERVED_FRAMES)
+        self.correction_final = None if frames == OBSERVED_FRAMES else nn.Linear(256, 2)
         self.features = nn.Linear(256, features)
-        nn.init.zeros_(self.correction.weight)
-        nn.init.zeros_(self.correction.bias)
-        centres = ((torch.arange(PATCH) + 0.5) * (2 / PATCH) - 1) * PATCH_HALF_WIDTH
-        y, x = torch.meshgrid(centres, centres, indexing="ij")
-        self.register_buffer("grid", torch.stack([x, y], dim=-1), persistent=False)
+        for correction in (self.correction, self.correction_final):
+            if correction is not None:
+                nn.init.zeros_(correction.weight)
+                nn.init.zeros_(correction.bias)
+        grid = PATCH_HALF_WIDTH * cell_centres(PATCH).permute(1, 2, 0)
+        self.register_buffer("grid", grid, persistent=False)
 
     def forward(self, images_BK3HW: Tensor, around_BNK2: Tensor) -> tuple[Tensor, Tensor]:
         """Corrected positions [B, N, K, 2] and features [B, N, features]."""
@@ -207,7 +213,10 @@ class CloserLook(nn.Module):
         patches = patches.reshape(batch, frames, 3, objects, PATCH, PATCH)
         stacked = patches.permute(0, 3, 1, 2, 4, 5).reshape(-1, 3 * frames, PATCH, PATCH)
         seen = self.layers(stacked.contiguous(memory_format=torch.channels_last))
-        correction = self.correction(seen).float().reshape(batch, objects, frames, 2)
+        corrections = self.correction(seen).float()
+        if self.correction_final is not None:
+            corrections = torch.cat([corrections, self.correction_final(seen).float()], dim=1)
+        correction = corrections.reshape(batch, objects, frames, 2)
         return centres + correction, self.features(seen).float().reshape(batch, objects, -1)
 
 
@@ -222,7 +231,7 @@ class Eye(nn.Module):
         super().__init__()
         self.first = FirstLook(frames, objects)
         self.closer = CloserLook(frames, FEATURES)
-        seen = FEATURES + 2 * (frames - 1) + 2 + 3 * len(SAMPLE_AHEAD) + 2 + 4
+        seen = FEATURES + 2 * (OBSERVED_FRAMES - 1) + 2 + 3 * len(SAMPLE_AHEAD) + 2 + 4
         self.state = nn.Sequential(
             nn.Linear(seen, 192), nn.SiLU(), nn.Linear(192, 192), nn.SiLU(), nn.Linear(192, 9)
         )
@@ -234,8 +243,9 @@ class Eye(nn.Module):
         near, _ = self.closer(images, rough)
         exact, features = self.closer(images, near)
         with full_precision(exact.device):
-            last = exact[:, :, -1]
-            shifts = exact[:, :, 1:] - exact[:, :, :-1]
+            observed = exact[:, :, :OBSERVED_FRAMES]
+            last = observed[:, :, -1]
+            shifts = observed[:, :, 1:] - observed[:, :, :-1]
             ahead = torch.stack([last + a * shifts[:, :, -1] for a in SAMPLE_AHEAD], dim=2)
             felt = sampled(ground, ahead.detach())
             lean, scale = felt[:, :, 0, :2], measures[:, None].expand(-1, last.shape[1], -1)
@@ -257,8 +267,7 @@ def _attended(values: Tensor, seen: tuple[int, int]) -> Tensor:
     """Positions [B, N, K, 2] that cells propose relative to themselves, weighed by a softmax."""
     cells = values.shape[-1]
     proposals = values.float().unflatten(1, (*seen, 3))
-    centres = (torch.arange(cells, device=values.device) + 0.5) * (2 / cells) - 1
-    y, x = torch.meshgrid(centres, centres, indexing="ij")
+    centres = cell_centres(cells).to(values.device)
     weights = proposals[:, :, :, 0].flatten(3).softmax(dim=-1)
-    points = proposals[:, :, :, 1:] * (2 / cells) + torch.stack([x, y])
+    points = proposals[:, :, :, 1:] * (2 / cells) + centres
     return (weights[:, :, :, None] * points.flatten(4)).sum(dim=-1)

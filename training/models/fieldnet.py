@@ -186,9 +186,7 @@ class FieldNet(Network):
         reading: Reading = self.eye(frames_BKHW3)
         with full_precision(reading.ground.device):
             doubt = of_each(self.first_doubt, reading.features.detach())
-        measures = reading.measures[:, None].expand(-1, reading.centres.shape[1], -1)
-        ball = Ball(reading.centres, reading.velocities, reading.spins, doubt, measures)
-        return State(reading.ground, ball.packed()), reading
+        return seen_state(reading, doubt), reading
 
     def advance(self, state: State) -> State:
         """h_{t+1} from h_t."""
@@ -214,6 +212,13 @@ class FieldNet(Network):
         centres = torch.stack([ball.centre for ball in balls], dim=2)
         spins = torch.stack([ball.spin for ball in balls], dim=2)
         return centres, ANGULAR_VELOCITY_UNIT * spins
+
+
+def seen_state(reading: Reading, doubt_BN3: Tensor) -> State:
+    """State at t = 0 from what an eye read."""
+    measures = reading.measures[:, None].expand(-1, reading.centres.shape[1], -1)
+    ball = Ball(reading.centres, reading.velocities, reading.spins, doubt_BN3, measures)
+    return State(reading.ground, ball.packed())
 
 
 def true_state(

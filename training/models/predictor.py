@@ -304,9 +304,12 @@ class SharedStateFamily(Family):
 
     def forward(self, frames_BKHW3: Tensor, horizon: int) -> dict[str, Observation]:
         """Observations of the steps 0..horizon-1 of every member."""
+        return self.roll_out(next(iter(self.predictors().values())).encoder(frames_BKHW3), horizon)
+
+    def roll_out(self, s: Tensor, horizon: int) -> dict[str, Observation]:
+        """Observations of the steps 0..horizon-1 of every member, from s_0."""
         members = self.predictors()
         shared = next(iter(members.values()))
-        s = shared.encoder(frames_BKHW3)
         motions = {name: member.motion.start(s) for name, member in members.items()}
         steps: dict[str, list[Observation]] = {name: [] for name in members}
         finals = {name: member.final_position(s) for name, member in members.items()}

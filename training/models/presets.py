@@ -7,6 +7,7 @@ from training.models.compact import compact_family
 from training.models.fieldnet import field_family
 from training.models.paper import paper_family
 from training.models.predictor import Family
+from training.models.sighted import sighted_family
 
 
 class Preset(Protocol):
@@ -39,4 +40,5 @@ PRESETS: Mapping[str, Preset] = {
     "compact": compact_family,
     "paper": paper_family,
     "field": field_family,
+    "sighted": sighted_family,
 }

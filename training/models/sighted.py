@@ -1,0 +1,215 @@
+"""The sighted preset: a convolutional state that begins with what a taught eye reads.
+
+The eye is FieldNet's (``eye.py``). What it reads of the ground and of the balls is spread over the
+8 x 8 cells; from there on the state is learned, as in the compact preset, whose heads it shares.
+States can be spread from the truth as well, so transition and heads practise without any image.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from rollcast.trajectory import OBSERVED_FRAMES
+from training.models.blocks import (
+    GRID,
+    ChannelNorm,
+    ObjectInteraction,
+    SpatialReadout,
+    cell_centres,
+)
+from training.models.compact import CHANNELS, HEADS
+from training.models.eye import Eye, full_precision
+from training.models.fieldnet import Ball, seen_state
+from training.models.predictor import (
+    Family,
+    Observation,
+    Predictor,
+    Reading,
+    SharedStateFamily,
+    State,
+)
+
+FOLD = 4
+"""The ground's 32 x 32 cells are folded into the state's 8 x 8: so many a side go into one."""
+
+
+class Sight(NamedTuple):
+    """What a state begins with: read of the frames, or true."""
+
+    state: State
+    """FieldNet's: a map of the ground, and every ball's numbers."""
+    finals: Tensor | None
+    """Image points [B, N, 2] of the balls in the final frame, halves of the frame."""
+
+
+class Spread(nn.Module):
+    """What is known of ground and balls, over the cells of s_0 [B, N, C, 8, 8].
+
+    Every cell knows its own ground, every ball's numbers, and where the ball is from there.
+    """
+
+    places: Tensor
+
+    def __init__(self, frames: int, channels: int) -> None:
+        super().__init__()
+        self.register_buffer("places", cell_centres(), persistent=False)
+        points = 1 if frames == OBSERVED_FRAMES else 2
+        known = 3 * FOLD**2 + 2 + 2 + 2 * 7 + points * (2 + 1)
+        self.layers = nn.Sequential(
+            nn.Conv2d(known, channels, 1), nn.ReLU(), nn.Conv2d(channels, channels, 1)
+        )
+        self.norm = ChannelNorm()
+
+    def forward(self, sight: Sight) -> Tensor:
+        """s_0 of a sight."""
+        ball = Ball.unpacked(sight.state.p)
+        numbers = torch.cat([ball.centre[..., 2:], 10 * ball.velocity, ball.spin], dim=-1)
+        everywhere = torch.cat([numbers, ball.measures], dim=-1)[..., None, None]
+        batch, objects = everywhere.shape[:2]
+        ground = functional.pixel_unshuffle(sight.state.s, FOLD)[:, None]
+        here = self._from_cells(ball.centre[..., :2])
+        known = [
+            ground.expand(-1, objects, -1, -1, -1),
+            everywhere.expand(-1, -1, -1, GRID, GRID),
+            self.places.expand(batch, objects, -1, -1, -1),
+            here,
+            here[:, :, 2:] * numbers[..., None, None],
+            *([] if sight.finals is None else [self._from_cells(sight.finals)]),
+        ]
+        cells = torch.cat(known, dim=2).flatten(0, 1)
+        return self.norm(self.layers(cells)).unflatten(0, (batch, objects))
+
+    def _from_cells(self, points_BN2: Tensor) -> Tensor:
+        """Way from every cell to a point, in cells, and how near it is [B, N, 3, 8, 8]."""
+        way = (points_BN2[..., None, None] - self.places) * (GRID / 2)
+        near = (-0.5 * way.square().sum(dim=2, keepdim=True)).exp()
+        return torch.cat([way, near], dim=2)
+
+
+class SightedEncoder(nn.Module):
+    """Frames to s_0 through an eye that has been taught what to read."""
+
+    def __init__(self, frames: int, objects: int, channels: int) -> None:
+        super().__init__()
+        self.eye = Eye(frames, objects)
+        self.spread = Spread(frames, channels)
+
+    def forward(self, frames_BKHW3: Tensor) -> Tensor:
+        """Frames uint8 to s_0."""
+        return self.look(frames_BKHW3)[0]
+
+    def look(self, frames_BKHW3: Tensor) -> tuple[Tensor, Reading]:
+        """s_0, and what the eye read, which alone teaches it."""
+        reading: Reading = self.eye(frames_BKHW3)
+        exact = reading.seen_positions[-1].detach()
+        finals = None if exact.shape[2] == OBSERVED_FRAMES else exact[:, :, -1]
+        state = seen_state(reading, torch.zeros_like(reading.centres))
+        return self.begin(Sight(State(state.s.detach(), state.p.detach()), finals)), reading
+
+    def begin(self, sight: Sight) -> Tensor:
+        """s_0 of what was read, or of the truth."""
+        with full_precision(sight.state.p.device):
+            return self.spread(sight)
+
+
+class AttendedTransition(nn.Module):
+    """s_{t+1} = phi_s(s_t): convolutions, and a perceptron that reads and writes where it attends.
+
+    Convolutions carry what is local; how a ball moves depends on few numbers of few cells, which
+    the perceptron gathers by a softmax over the cells, and adds its answer where a second one says.
+
+    Parameters
+    ----------
+    interaction
+        What lets the balls know of each other; None moves each alone.
+    """
+
+    places: Tensor
+    points = 4
+    """Places at which a state is read and written."""
+
+    def __init__(self, channels: int, interaction: ObjectInteraction | None = None) -> None:
+        super().__init__()
+        narrow, wide = 64, 256
+        self.interaction = interaction
+        self.register_buffer("places", cell_centres()[None], persistent=False)
+        seen = channels if interaction is None else 2 * channels
+        self.first = nn.Conv2d(seen, narrow, 3, padding=1)
+        self.second = nn.Conv2d(narrow, channels, 3, padding=1)
+        self.where = nn.Sequential(
+            nn.Conv2d(seen + 2, narrow, 1), nn.ReLU(), nn.Conv2d(narrow, 2 * self.points, 1)
+        )
+        self.answer = nn.Sequential(
+            nn.Linear(self.points * seen, wide), nn.SiLU(),
+            nn.Linear(wide, wide), nn.SiLU(),
+            nn.Linear(wide, self.points * channels),
+        )  # fmt: skip
+        for last in (self.second, self.answer[-1]):
+            assert isinstance(last, nn.Conv2d | nn.Linear)
+            nn.init.normal_(last.weight, std=1e-3)
+        self.norm = ChannelNorm()
+
+    def forward(self, s_BNCHW: Tensor) -> Tensor:
+        """s_t to s_{t+1}."""
+        batch, objects = s_BNCHW.shape[:2]
+        s = s_BNCHW.flatten(0, 1)
+        seen = s if self.interaction is None else self.interaction(s_BNCHW).flatten(0, 1)
+        change = self.second(functional.relu(self.first(functional.relu(seen))))
+        # What is added up over a rollout needs more digits than bfloat16 has.
+        with full_precision(s.device):
+            attended = self._attended(seen)
+        return self.norm(s + change.float() + attended).unflatten(0, (batch, objects))
+
+    def _attended(self, seen: Tensor) -> Tensor:
+        """Change [B N, C, 8, 8] that the perceptron makes."""
+        places = self.places.expand(seen.shape[0], -1, -1, -1)
+        logits = self.where(torch.cat([seen, places], dim=1)).flatten(2)
+        reading, writing = logits.softmax(dim=-1).chunk(2, dim=1)
+        read = reading @ seen.flatten(2).transpose(1, 2)
+        answer = self.answer(read.flatten(1)).unflatten(1, (self.points, -1))
+        return (GRID * answer.transpose(1, 2) @ writing).unflatten(2, (GRID, GRID))
+
+
+class SightedFamily(SharedStateFamily):
+    """Predictors over one sighted state, which can practise from the truth."""
+
+    @property
+    def encoder(self) -> SightedEncoder:
+        """What all members share."""
+        encoder = next(iter(self.predictors().values())).encoder
+        assert isinstance(encoder, SightedEncoder)
+        return encoder
+
+    def forward(self, frames_BKHW3: Tensor, horizon: int) -> dict[str, Observation]:
+        """Observations of the steps 0..horizon-1 of every member, and what the eye read."""
+        s, reading = self.encoder.look(frames_BKHW3)
+        made = self.roll_out(s, horizon)
+        return {name: observed._replace(reading=reading) for name, observed in made.items()}
+
+    def practise(self, sight: Sight, horizon: int) -> dict[str, Observation]:
+        """Observations of the steps 0..horizon-1 of every member from what is true."""
+        return self.roll_out(self.encoder.begin(sight), horizon)
+
+
+def sighted_family(
+    variants: Mapping[str, str],
+    frames: int,
+    objects: int,
+    *,
+    angular_velocity: bool,
+    interaction: bool = True,
+) -> Family:
+    """Make a family in the sighted preset (see :class:`training.models.presets.Preset`)."""
+    encoder = SightedEncoder(frames, objects, CHANNELS)
+    met = ObjectInteraction() if interaction and objects > 1 else None
+    transition = AttendedTransition(CHANNELS, met)
+    spin = SpatialReadout(CHANNELS, 3) if angular_velocity else None
+    return SightedFamily(
+        {
+            name: Predictor(encoder, transition, HEADS[variant](CHANNELS), spin)
+            for name, variant in variants.items()
+        }
+    )
