@@ -18,10 +18,10 @@ from training.recipes import (
     continued,
     field_one_ball,
     field_several_balls,
-    one_ball,
-    one_ball_between,
-    several_balls,
-    several_balls_between,
+    sighted_one_ball,
+    sighted_one_ball_between,
+    sighted_several_balls,
+    sighted_several_balls_between,
 )
 from training.results import committed
 from training.trainer import Initial, Pace, Trainer
@@ -72,17 +72,19 @@ class Round:
 
 def lines() -> tuple[Line, ...]:
     """Return every family that ships, in the order of their first rounds."""
-    one = ("posnet", "dispnet", "probnet")
     return (
         Line(field_one_ball()),
         Line(field_several_balls(2), parents=("fieldnet",)),
         Line(field_several_balls(3), parents=("fieldnet-2",)),
-        Line(one_ball()),
-        Line(one_ball_between(), parents=("dispnet",)),
-        Line(several_balls(2), parents=one),
-        Line(several_balls(3), parents=("posnet-2", "dispnet-2", "probnet-2")),
-        Line(several_balls_between(2), parents=("dispnet-2",)),
-        Line(several_balls_between(3), parents=("dispnet-3",)),
+        # The eye comes from the first, what the first lacks from the others.
+        Line(sighted_one_ball(), parents=("fieldnet",)),
+        Line(sighted_one_ball_between(), parents=("fieldnet", "dispnet")),
+        Line(sighted_several_balls(2), parents=("fieldnet-2", "posnet", "dispnet", "probnet")),
+        Line(
+            sighted_several_balls(3), parents=("fieldnet-3", "posnet-2", "dispnet-2", "probnet-2")
+        ),
+        Line(sighted_several_balls_between(2), parents=("fieldnet-2", "interpnet")),
+        Line(sighted_several_balls_between(3), parents=("fieldnet-3", "interpnet-2")),
     )
 
 
@@ -130,11 +132,20 @@ def _round(line: Line, number: int, folder: Path, models: Path, sequences: int) 
 
 def committed_errors(recipe: Recipe, models: Path) -> Mapping[str, float] | None:
     """Return the validation errors of a recipe's models; None when one is missing."""
-    folders = [newest(models, member.name) for member in recipe.members]
-    if None in folders:
+    manifests = [Manifest.read(folder / MANIFEST_FILE) for folder in own_models(recipe, models)]
+    if len(manifests) < len(recipe.members):
         return None
-    manifests = [Manifest.read(f / MANIFEST_FILE) for f in folders if f is not None]
     return {manifest.name: manifest.validation_error_px for manifest in manifests}
+
+
+def own_models(recipe: Recipe, models: Path) -> list[Path]:
+    """Folders of a recipe's models; those of another preset only share their names."""
+    found = [newest(models, member.name) for member in recipe.members]
+    return [
+        folder
+        for folder in found
+        if folder is not None and Manifest.read(folder / MANIFEST_FILE).preset == recipe.preset
+    ]
 
 
 def newest(models: Path, name: str) -> Path | None:
@@ -144,8 +155,7 @@ def newest(models: Path, name: str) -> Path | None:
 
 def initial_of(chosen: Round, models: Path) -> list[Initial]:
     """Return what a round begins with: the family's committed models, or its line's parents."""
-    names = [member.name for member in chosen.recipe.members]
-    own = [folder for name in names if (folder := newest(models, name)) is not None]
+    own = own_models(chosen.recipe, models)
     parents = [folder for name in chosen.line.parents if (folder := newest(models, name))]
     return [read_initial(folder) for folder in own or parents]
 

@@ -222,6 +222,9 @@ def continued(recipe: Recipe) -> Recipe:
     longest = recipe.trained_horizon
     if recipe.explicit is None:
         return replace(recipe, curriculum=(Milestone(0, longest),))
+    if recipe.explicit.motion is None:
+        practice = replace(recipe.explicit, curriculum=(Milestone(0, longest),), blind=0.5)
+        return replace(recipe, curriculum=(Milestone(0, longest),), explicit=practice)
     return replace(
         recipe,
         curriculum=(Milestone(0.7, 1), Milestone(0.75, longest // 2), Milestone(0.88, longest)),
@@ -361,18 +364,42 @@ def sighted_one_ball() -> Recipe:
 
 def sighted_one_ball_between() -> Recipe:
     """InterpNet with FieldNet's eye, which learns to read the final frame too."""
-    between = one_ball_between()
+    return _interpolated(sighted_one_ball(), one_ball_between())
+
+
+def sighted_several_balls(objects: int) -> Recipe:
+    """PosNet, DispNet and ProbNet for two or three balls with the eye of FieldNet for as many."""
+    compact = several_balls(objects)
     return replace(
         sighted_one_ball(),
-        name="sighted-one-ball-between",
+        name=f"sighted-{objects}-balls",
+        members=compact.members,
+        data=field_several_balls(objects).data,
+        scenarios=compact.scenarios,
+        objects=objects,
+        curriculum=(Milestone(0.05, 2), Milestone(0.2, 6), Milestone(0.5, 15)),
+    )
+
+
+def sighted_several_balls_between(objects: int) -> Recipe:
+    """InterpNet for two or three balls with the eye of FieldNet for as many."""
+    return _interpolated(sighted_several_balls(objects), several_balls_between(objects))
+
+
+def _interpolated(recipe: Recipe, between: Recipe) -> Recipe:
+    """Return a sighted recipe with the members of one that sees the final frame."""
+    longest = between.trained_horizon
+    return replace(
+        recipe,
+        name=f"{recipe.name}-between",
         members=between.members,
         final_step=between.final_step,
-        curriculum=(Milestone(0.05, 2), Milestone(0.2, 10), Milestone(0.6, 40)),
+        curriculum=(Milestone(0.05, 2), Milestone(0.2, 10), Milestone(0.6, longest)),
         explicit=Explicit(
             ReadingLoss(between.final_step),
             None,
             practice=32,
-            curriculum=(Milestone(0.05, 2), Milestone(0.6, 40)),
+            curriculum=(Milestone(0.05, 2), Milestone(0.6, longest)),
             blind=0.7,
         ),
     )
@@ -433,5 +460,9 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "field-3-balls": partial(field_several_balls, 3),
     "sighted-one-ball": sighted_one_ball,
     "sighted-one-ball-between": sighted_one_ball_between,
+    "sighted-2-balls": partial(sighted_several_balls, 2),
+    "sighted-3-balls": partial(sighted_several_balls, 3),
+    "sighted-2-balls-between": partial(sighted_several_balls_between, 2),
+    "sighted-3-balls-between": partial(sighted_several_balls_between, 3),
     "paper-posnet": paper_posnet,
 }

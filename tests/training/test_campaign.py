@@ -6,8 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from training.campaign import OUTCOME, Line, Outcome, Round, finish, initial_of, next_round
-from training.recipes import one_ball, several_balls
+from rollcast.manifest import MANIFEST_FILE, Manifest
+from training.campaign import (
+    OUTCOME,
+    Line,
+    Outcome,
+    Round,
+    finish,
+    initial_of,
+    next_round,
+    own_models,
+)
+from training.recipes import one_ball, several_balls, sighted_one_ball
 
 MODELS = Path(__file__).parents[2] / "models"
 
@@ -64,6 +74,14 @@ def finish_in(folder, chosen: Round, outcome: Outcome) -> None:
     at = folder / chosen.recipe.name / str(chosen.number)
     at.mkdir(parents=True)
     finish(replace(chosen, folder=at), outcome)
+
+
+def test_models_of_another_preset_are_no_beginning(tmp_path):
+    """The committed PosNet is none that sees with FieldNet's eye, unless it says so."""
+    committed = Manifest.read(MODELS / "posnet" / "1" / MANIFEST_FILE)
+    for base in (one_ball(), sighted_one_ball()):
+        found = {folder.parent.name for folder in own_models(base, MODELS)}
+        assert ("posnet" in found) == (committed.preset == base.preset)
 
 
 def test_a_family_begins_with_its_own_models_or_its_parents(known, tmp_path):

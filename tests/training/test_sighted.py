@@ -105,6 +105,22 @@ def test_balls_may_change_places(interaction):
     assert same != interaction
 
 
+def test_two_balls_begin_as_one_ball_twice():
+    """Weights of one ball, widened for two: what there is of the other ball counts nothing yet."""
+    one, two = family(objects=1), family(objects=2)
+    with torch.no_grad():
+        for parameter in one.parameters():
+            parameter.add_(0.02 * torch.randn(parameter.shape))
+    load_fitting(two.networks()["it"], one.networks()["it"].state_dict())
+    known = sight(objects=2)
+    with torch.inference_mode():
+        together = two.practise(known, 6)["it"].positions
+        for ball in range(2):
+            part = Sight(State(known.state.s, known.state.p[:, ball : ball + 1]), None)
+            alone = one.practise(part, 6)["it"].positions
+            torch.testing.assert_close(together[:, ball : ball + 1], alone)
+
+
 def test_forecasts_do_not_teach_the_eye():
     networks = family()
     networks(FRAMES[:, :4], 3)["it"].positions.sum().backward()

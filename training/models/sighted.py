@@ -166,9 +166,10 @@ class AttendedTransition(nn.Module):
     def _attended(self, seen: Tensor) -> Tensor:
         """Change [B N, C, 8, 8] that the perceptron makes."""
         places = self.places.expand(seen.shape[0], -1, -1, -1)
-        logits = self.where(torch.cat([seen, places], dim=1)).flatten(2)
+        # What there is of other balls comes last: a ball's weights serve several, widened.
+        logits = self.where(torch.cat([places, seen], dim=1)).flatten(2)
         reading, writing = logits.softmax(dim=-1).chunk(2, dim=1)
-        read = reading @ seen.flatten(2).transpose(1, 2)
+        read = seen.flatten(2) @ reading.transpose(1, 2)
         answer = self.answer(read.flatten(1)).unflatten(1, (self.points, -1))
         return (GRID * answer.transpose(1, 2) @ writing).unflatten(2, (GRID, GRID))
 
