@@ -5,6 +5,7 @@ import textwrap
 from pathlib import Path
 from typing import Annotated, Literal
 
+from loky import cpu_count
 from pydantic import DirectoryPath, Field, model_validator
 from pydantic_settings import (
     BaseSettings,
@@ -46,8 +47,9 @@ class Settings(BaseSettings):
     """Folder of the artefacts, ``NAME/VERSION/``."""
     max_body_bytes: Annotated[int, Field(ge=1)] = 64 * MEBI
     """Largest request body; a larger one is refused with 413 while it is being read."""
-    inference_threads: Annotated[int, Field(ge=1)] = len(os.sched_getaffinity(0))
-    """Threads that compute forecasts; by default one per core that this process may use."""
+    inference_threads: Annotated[int, Field(ge=1)] = Field(default_factory=cpu_count)
+    """Threads that compute forecasts; by default one per core that this process or its container
+    may use."""
     inference_queue: Annotated[int, Field(ge=0)] = 64
     """Forecasts that may be held beyond one a thread; one more is refused with 429."""
     deadline_s: Annotated[float, Field(gt=0)] = 60
@@ -109,7 +111,7 @@ def _file(path: str) -> Path:
 def described() -> str:
     """Say what every setting means and what it is by default, a paragraph each."""
     return "\n".join(
-        f"{PREFIX}{name.upper()} (default {field.default})\n"
+        f"{PREFIX}{name.upper()} (default {field.get_default(call_default_factory=True)})\n"
         + textwrap.indent(textwrap.fill(field.description or "", 84), 4 * " ")
         for name, field in Settings.model_fields.items()
     )
