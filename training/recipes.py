@@ -333,7 +333,8 @@ def field_several_balls(objects: int) -> Recipe:
         fresh,
         name=f"field-{objects}-balls",
         members=(_explicit(suffix=f"-{objects}"),),
-        data=(DataShare(Source("ellipsoid", objects), 2000, 1.0, 200),),
+        # Three balls take a second of simulation a scene.
+        data=(DataShare(Source("ellipsoid", objects), 2000 if objects == 2 else 1200, 1.0, 200),),
         scenarios=("ellipsoid",),
         objects=objects,
         sequences=144_000,

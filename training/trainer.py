@@ -3,7 +3,7 @@
 import math
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -89,7 +89,7 @@ class Trainer:
         self.family.to(self.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self._average = torch.optim.swa_utils.AveragedModel(
             self.family,
-            multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(recipe.average_decay),
+            multi_avg_fn=warmed_average(recipe.average_decay),
         )
         self._optimiser = recipe.optimiser(self._groups(), recipe.learning_rate)
         self._schedule = recipe.schedule()
@@ -376,6 +376,24 @@ def horizon_at(curriculum: tuple[Milestone, ...], spent: float) -> int:
     return int(np.interp(spent, shares, horizons))
 
 
+def warmed_average(decay: float) -> Callable[..., None]:
+    """Exponential moving average that follows closely at first; else it lags for long.
+
+    Parameters
+    ----------
+    decay
+        Of the average in the long run; that of update n is at most (1 + n) / (10 + n).
+    """
+
+    def update(
+        averaged: list[torch.Tensor], current: list[torch.Tensor], updates: torch.Tensor
+    ) -> None:
+        now = min(decay, (1 + int(updates)) / (10 + int(updates)))
+        torch.optim.swa_utils.get_ema_multi_avg_fn(now)(averaged, current, updates)
+
+    return update
+
+
 def shared_factor(spent: float, heads_alone: float) -> float:
     """Factor on the shared parameters' rate: it rises once the heads have learned alone."""
     return min(max((spent - heads_alone) / SHARED_WARM_UP, 0.0), 1.0) if heads_alone else 1.0
@@ -410,8 +428,9 @@ def _widened(name: str, value: torch.Tensor, shape: torch.Size) -> torch.Tensor 
     """Parameter of a narrower layer in the shape of a wider one; None when it cannot be."""
     if value.ndim != len(shape) or value.shape[2:] != shape[2:]:
         return None
-    if name.startswith(OF_EVERY_BALL) and shape[0] % value.shape[0] == 0:
-        value = value.repeat(shape[0] // value.shape[0], *(1 for _ in shape[1:]))
+    if name.startswith(OF_EVERY_BALL) and shape[0] > value.shape[0]:
+        times = math.ceil(shape[0] / value.shape[0])
+        value = value.repeat(times, *(1 for _ in shape[1:]))[: shape[0]]
     if value.ndim > 1 and value.shape[1] < shape[1]:
         missing = value.new_zeros(len(value), shape[1] - value.shape[1], *shape[2:])
         value = torch.cat([value, missing], dim=1)

@@ -269,3 +269,11 @@ def test_what_the_preset_cannot_make_is_refused():
         field_family({"one": "fieldnet"}, 4, 1, angular_velocity=False)
     with pytest.raises(ValueError, match="four frames"):
         field_family({"one": "fieldnet"}, 5, 1, angular_velocity=True)
+
+
+def test_a_third_ball_is_looked_for_as_the_first_is():
+    two, three = field_net(2), field_net(3)
+    load_fitting(three, two.state_dict())
+    own, known = three.state_dict(), two.state_dict()
+    where = "eye.first.where.weight"
+    torch.testing.assert_close(own[where], torch.cat([known[where], known[where][:12]]))

@@ -15,6 +15,7 @@ from training.trainer import (
     horizon_at,
     load_fitting,
     shared_factor,
+    warmed_average,
 )
 
 PACE = Pace(validate_every=16, checkpoint_seconds=0, workers=0)
@@ -80,6 +81,21 @@ def test_motion_learns_at_a_rate_of_its_own(runs, tmp_path):
     trainer.run()
     kept = {n for n, v in trainer.family.state_dict().items() if torch.equal(v, before[n])}
     assert kept == {name for name in before if ".rolling." in name}
+
+
+def test_the_average_follows_closely_at_first_and_slowly_later():
+    averaged = torch.optim.swa_utils.AveragedModel(
+        torch.nn.Linear(1, 1, bias=False), multi_avg_fn=warmed_average(0.99)
+    )
+    moving = torch.nn.Linear(1, 1, bias=False)
+    values = []
+    for step in range(3000):
+        moving.weight.data.fill_(float(step))
+        averaged.update_parameters(moving)
+        values.append(averaged.module.weight.item())
+    lags = np.arange(3000) - values
+    assert lags[10] < 5
+    assert lags[-1] == pytest.approx(99, rel=0.01)
 
 
 def test_horizon_grows_step_by_step_between_milestones():
