@@ -23,12 +23,13 @@ define step
 	@printf -- '--- %s\n' '$(1)'; $(2) || { printf 'rollcast: FAILED: %s\n' '$(1)' >&2; exit 1; }
 endef
 
-.PHONY: help serve test format lint environments lock clean
+.PHONY: help serve test bench format lint environments lock clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make serve    serve the committed models on http://127.0.0.1:8000 (PORT=... picks another port)'
 	@echo 'make test     run every check and test'
+	@echo 'make bench    measure the service beside the bare loop; on a machine that does nothing else'
 	@echo 'make format   format the code'
 	@echo 'make lint     the checks of make test without its tests'
 	@echo 'make lock     compile requirements/*.txt anew from pyproject.toml (UPGRADE=1: newest versions)'
@@ -43,6 +44,11 @@ test: environments lint
 	$(call step,no torch in the service environment,! .venv/service/bin/python -c 'import torch' 2>/dev/null)
 	$(call step,tests without torch,.venv/service-test/bin/python -m pytest $(or $(TORCH_FREE_TESTS),tests/service) $(PYTEST_ARGS))
 	@echo 'rollcast: every check and test passed'
+
+bench:
+	@tools/environment.sh service
+	@tools/environment.sh bench
+	@.venv/bench/bin/python -m tests.bench.run $(BENCH_ARGS)
 
 lint:
 	@tools/environment.sh test --torch
@@ -61,7 +67,7 @@ environments:
 	@tools/environment.sh service
 	@tools/environment.sh service-test
 
-# The lock of the tests holds every package; the other two take their versions from it.
+# The lock of the tests holds every package; the others take their versions from it.
 UV_COMPILE = .venv/lock/bin/uv pip compile pyproject.toml --quiet --universal --python-version 3.11 \
 	--generate-hashes --no-emit-package torch --annotation-style line --no-emit-index-url \
 	--custom-compile-command 'make lock' $(if $(UPGRADE),--upgrade)
@@ -74,6 +80,8 @@ lock:
 		--output-file requirements/service.txt
 	$(UV_COMPILE) --extra service --extra test --constraint requirements/test.txt \
 		--output-file requirements/service-test.txt
+	$(UV_COMPILE) --extra bench --constraint requirements/test.txt \
+		--output-file requirements/bench.txt
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist *.egg-info

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from rollcast.plot import PALETTE
+from rollcast.scene import SCENARIOS
 from training.dataset import Window
 from training.metrics import Forecasts
 from training.report import title
@@ -24,6 +25,8 @@ _STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
+_LINES = ("-", "--", ":")
+"""Styles that tell methods apart once the colours are used up."""
 _BASELINE_STYLES = {"stays put": ":", "line": "--"}
 
 
@@ -56,23 +59,25 @@ def draw_calibration(curves: Sequence[Curve], path: Path) -> None:
     """Draw how many truths lie inside the ellipses that should hold a share of them."""
     with mpl.rc_context(_STYLE):
         measured = [curve for curve in curves if curve.coverage is not None]
-        figure = Figure(figsize=(6.4, 4.2), layout="constrained")
-        axes = figure.subplots()
-        axes.plot([0, 1], [0, 1], color="#bbbbbb", linewidth=1)
+        scenarios = [name for name in SCENARIOS if any(c.scenario == name for c in measured)]
         methods = sorted({curve.method for curve in measured})
-        markers = {"hemisphere": "o", "ellipsoid": "s", "heightfield": "^"}
-        for curve in measured:
-            assert curve.coverage is not None
-            axes.plot(
-                LEVELS, curve.coverage, markers[curve.scenario] + "-", markersize=3, linewidth=1,
-                color=PALETTE[methods.index(curve.method) % len(PALETTE)],
-                label=f"{curve.method}, {curve.scenario}",
-            )  # fmt: skip
-        axes.set(
-            xlabel="share that the ellipse should hold", ylabel="share of truths inside",
-            xlim=(0, 1), ylim=(0, 1), title="Calibration over all steps up to the trained horizon",
-        )  # fmt: skip
-        axes.legend(frameon=False, fontsize=7)
+        figure = Figure(figsize=(9, 3.9), layout="constrained")
+        panels = figure.subplots(1, len(scenarios), squeeze=False, sharey=True)[0]
+        for axes, scenario in zip(panels, scenarios, strict=True):
+            axes.plot([0, 1], [0, 1], color="#bbbbbb", linewidth=1)
+            for curve in measured:
+                if curve.scenario == scenario:
+                    assert curve.coverage is not None
+                    rounds, place = divmod(methods.index(curve.method), len(PALETTE))
+                    axes.plot(
+                        LEVELS, curve.coverage, _LINES[rounds], color=PALETTE[place],
+                        label=curve.method,
+                    )  # fmt: skip
+            axes.set(xlabel="share that the ellipse should hold", xlim=(0, 1), ylim=(0, 1))
+            axes.set_title(scenario)
+            axes.legend(frameon=False, fontsize=7)
+        panels[0].set_ylabel("share of truths inside")
+        figure.suptitle("Calibration over all steps up to the trained horizon", fontsize=10)
         figure.savefig(path, metadata={"Software": None})
 
 

@@ -29,6 +29,15 @@ from tests.e2e.conftest import start_service, wait_until_ready
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = "fieldnet"
 CORES = len(os.sched_getaffinity(0))
+PAGE = ROOT / "docs" / "benchmarks.md"
+PREAMBLE = f"""<!-- Made by `make bench`; do not edit. -->
+# Benchmarks
+
+The service with {MODEL} at a horizon of 40 steps beside the bare loop (`tests/bench/bare.py`): the
+same ONNX files in ONNX Runtime, one thread, nothing around them. One run on the same {CORES} cores,
+one after the other; "rounds" are the smallest and the largest of the rounds' figures.
+
+"""
 
 
 @dataclass(frozen=True)
@@ -174,8 +183,10 @@ def main() -> None:
         findings += one_at_a_time(address, given.rounds, given.seconds)
         findings += throughput(address, given.rounds, given.seconds)
     findings += overload(1, 60)
-    lines = ["| what | median | rounds | promised | kept |", "|---|---|---|---|---|"]
-    print("\n".join([*lines, *(finding.row() for finding in findings)]))
+    table = ["| what | median | rounds | promised | kept |", "|---|---|---|---|---|"]
+    table += [finding.row() for finding in findings]
+    print("\n".join(table))
+    PAGE.write_text(PREAMBLE + "\n".join(table) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Mapping
 
+from torch import nn
+
 from training.models import dispnet, interpnet, posnet, probnet
 from training.models.blocks import (
     CompactEncoder,
@@ -34,10 +36,15 @@ def compact_family(
     encoder = CompactEncoder(frames, objects, CHANNELS)
     met = ObjectInteraction() if interaction and objects > 1 else None
     transition = ConvTransition(CHANNELS, 128, met)
-    spin = SpatialReadout(CHANNELS, 3) if angular_velocity else None
-    return SharedStateFamily(
-        {
-            name: Predictor(encoder, transition, HEADS[variant](CHANNELS), spin)
-            for name, variant in variants.items()
-        }
-    )
+    return SharedStateFamily(composed(variants, encoder, transition, spin=angular_velocity))
+
+
+def composed(
+    variants: Mapping[str, str], encoder: nn.Module, transition: nn.Module, *, spin: bool
+) -> dict[str, Predictor]:
+    """Predictors of the variants over one state of CHANNELS, which encoder and transition make."""
+    readout = SpatialReadout(CHANNELS, 3) if spin else None
+    return {
+        name: Predictor(encoder, transition, HEADS[variant](CHANNELS), readout)
+        for name, variant in variants.items()
+    }

@@ -17,16 +17,14 @@ from training.models.blocks import (
     GRID,
     ChannelNorm,
     ObjectInteraction,
-    SpatialReadout,
     cell_centres,
 )
-from training.models.compact import CHANNELS, HEADS
+from training.models.compact import CHANNELS, composed
 from training.models.eye import Eye, full_precision
 from training.models.fieldnet import Ball, seen_state
 from training.models.predictor import (
     Family,
     Observation,
-    Predictor,
     Reading,
     SharedStateFamily,
     State,
@@ -207,10 +205,4 @@ def sighted_family(
     encoder = SightedEncoder(frames, objects, CHANNELS)
     met = ObjectInteraction() if interaction and objects > 1 else None
     transition = AttendedTransition(CHANNELS, met)
-    spin = SpatialReadout(CHANNELS, 3) if angular_velocity else None
-    return SightedFamily(
-        {
-            name: Predictor(encoder, transition, HEADS[variant](CHANNELS), spin)
-            for name, variant in variants.items()
-        }
-    )
+    return SightedFamily(composed(variants, encoder, transition, spin=angular_velocity))
