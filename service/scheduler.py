@@ -15,9 +15,9 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 from prometheus_client import Gauge
 
-from service.errors import QueueFullError
 from service.rollout import Arrays, Outputs, Predictor, Step
 from service.waiting import Patience
+from service.workers import Places
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
@@ -177,11 +177,9 @@ class Scheduler:
         shown: Gauge,
         batches: Callable[[Predictor, int], None],
     ) -> None:
-        self._capacity = capacity
+        self._places = Places(capacity, shown)
         self._max_batch = max_batch
-        self._shown = shown
         self._batches = batches
-        self._held = 0
         self._closed = False
         self._waiting: deque[_Member[Any]] = deque()
         self._rollouts: dict[Predictor, _Rollout] = {}
@@ -198,7 +196,7 @@ class Scheduler:
     @property
     def idle(self) -> bool:
         """Whether it holds no request."""
-        return self._held == 0
+        return self._places.idle
 
     def submit(self, job: Job[T], patience: Patience) -> Future[T]:
         """Take a request. Cancelled before its turn, it never begins.
@@ -208,23 +206,16 @@ class Scheduler:
         QueueFullError
             When ``capacity`` requests are being held.
         """
+        self._places.take()
         future: Future[T] = Future()
+        future.add_done_callback(self._release)
         with self._changed:
-            if self._held == self._capacity:
-                raise QueueFullError(
-                    f"{self._capacity} requests are being worked on or wait already"
-                )
-            self._held += 1
-            self._shown.inc()
             self._waiting.append(_Member(job, patience, future))
             self._changed.notify()
-        future.add_done_callback(self._release)
         return future
 
     def _release(self, _: Future[T]) -> None:
-        with self._changed:
-            self._held -= 1
-            self._shown.dec()
+        self._places.free()
 
     def close(self) -> None:
         """Let rollouts end, drop what waits."""

@@ -14,6 +14,51 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
+class Places:
+    """A bounded number of places for requests that run or wait.
+
+    Parameters
+    ----------
+    capacity
+        Places that there are.
+    shown
+        Follows the number that is taken.
+    """
+
+    def __init__(self, capacity: int, shown: Gauge) -> None:
+        self._capacity = capacity
+        self._shown = shown
+        self._taken = 0
+        self._lock = threading.Lock()
+
+    @property
+    def idle(self) -> bool:
+        """Whether no place is taken."""
+        return self._taken == 0
+
+    def take(self) -> None:
+        """Take a place.
+
+        Raises
+        ------
+        QueueFullError
+            When all are taken.
+        """
+        with self._lock:
+            if self._taken == self._capacity:
+                raise QueueFullError(
+                    f"{self._capacity} requests are being worked on or wait already"
+                )
+            self._taken += 1
+            self._shown.inc()
+
+    def free(self) -> None:
+        """Give a place back."""
+        with self._lock:
+            self._taken -= 1
+            self._shown.dec()
+
+
 class Workers:
     """An executor that holds a bounded number of calls, running and waiting ones together.
 
@@ -29,15 +74,12 @@ class Workers:
 
     def __init__(self, executor: Executor, capacity: int, shown: Gauge) -> None:
         self._executor = executor
-        self._capacity = capacity
-        self._shown = shown
-        self._held = 0
-        self._lock = threading.Lock()
+        self._places = Places(capacity, shown)
 
     @property
     def idle(self) -> bool:
         """Whether nothing runs or waits."""
-        return self._held == 0
+        return self._places.idle
 
     async def run(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Run a call and return what it returns. Cancelled before its turn, it never runs.
@@ -47,21 +89,17 @@ class Workers:
         QueueFullError
             When ``capacity`` calls are being held.
         """
-        with self._lock:
-            if self._held == self._capacity:
-                raise QueueFullError(
-                    f"{self._capacity} requests are being worked on or wait already"
-                )
+        self._places.take()
+        try:
             future = self._executor.submit(call, *args, **kwargs)
-            self._held += 1
-            self._shown.inc()
+        except BaseException:
+            self._places.free()
+            raise
         future.add_done_callback(self._release)
         return await asyncio.wrap_future(future)
 
     def _release(self, _: Future[T]) -> None:
-        with self._lock:
-            self._held -= 1
-            self._shown.dec()
+        self._places.free()
 
     def close(self) -> None:
         """Let running calls end, drop waiting ones."""
