@@ -15,6 +15,7 @@ def model_card(
     name: str,
     version: int,
     sequences: int,
+    horizon: int,
     rows: Sequence[MetricRow],
     covariance: CovarianceSource,
 ) -> str:
@@ -26,6 +27,8 @@ def model_card(
         The recipe's member.
     sequences
         Training sequences that its weights have seen.
+    horizon
+        Steps of the longest rollouts that trained them.
     rows
         What was measured on the validation and the test split.
     """
@@ -45,11 +48,11 @@ def model_card(
 
 {recipe.member(name).variant} ({recipe.preset} preset), {recipe.objects} ball(s), scenarios
 {", ".join(recipe.scenarios)}. It sees {frames} at {FRAME_RATE_HZ} Hz and was trained
-to forecast {recipe.trained_horizon} steps.
+to forecast {horizon} steps.
 
 - Trained on {sequences:,} sequences from simulated scenes: {scenes}.{together}
 - Uncertainty: {source}.
-- Limits: simulated scenes of these scenarios only; beyond step {recipe.trained_horizon} it
+- Limits: simulated scenes of these scenarios only; beyond step {horizon} it
   extrapolates past its training.
 - Licence: {LICENCE}.
 

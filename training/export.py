@@ -103,6 +103,8 @@ class Trained:
     predictor: Network
     sequences: int
     """Training sequences that its weights have seen."""
+    horizon: int
+    """Steps of the longest rollouts that trained its weights."""
 
 
 def export_run(
@@ -124,7 +126,7 @@ def export_run(
     manifests: list[Manifest] = []
     for name, predictor in recipe.build().networks().items():
         predictor.load_state_dict(best["weights"][name])
-        trained = Trained(recipe, name, predictor, best["sequences"])
+        trained = Trained(recipe, name, predictor, best["sequences"], best["horizon"])
         to = models / name / str(version)
         manifests.append(export(trained, to, version, validation, test))
     return manifests
@@ -156,7 +158,7 @@ def export(
             round_to_halves(module)
     sample = collate(_spread(validation, GOLDEN_SEQUENCES))["frames"]
     _write_graphs(predictor, sample, folder)
-    horizon = trained.recipe.trained_horizon
+    horizon = trained.horizon
     _write_golden(predictor, sample, horizon, folder)
     windows = _spread(validation, 3)
     # Not beyond the trained horizon: there a rollout may magnify any rounding.
@@ -171,7 +173,9 @@ def export(
         if row.split == "validation" and row.horizon == compared_horizon(trained.recipe.objects)
     ]
     observation = _observation_of(predictor, sample)
-    card = model_card(trained.recipe, trained.name, version, trained.sequences, rows, covariance)
+    card = model_card(
+        trained.recipe, trained.name, version, trained.sequences, horizon, rows, covariance
+    )
     (folder / CARD_FILE).write_text(card, encoding="utf-8")
     manifest = Manifest(
         format_version=1,

@@ -319,6 +319,26 @@ def field_one_ball_continued() -> Recipe:
     )
 
 
+def field_one_ball_rolling() -> Recipe:
+    """Train the motion alone, over what a taught eye reads (``--init``).
+
+    Slowly, and not to T_gen: beyond some 30 steps on heightfields the gradients throw it off.
+    """
+    recipe = field_one_ball()
+    assert recipe.explicit is not None
+    horizons = (Milestone(0, 20), Milestone(0.3, 26))
+    return replace(
+        recipe,
+        name="field-one-ball-rolling",
+        sequences=96_000,
+        curriculum=horizons,
+        explicit=replace(recipe.explicit, reading=None, curriculum=horizons),
+        learning_rate=3e-4,
+        average_decay=0.995,
+        seed=5,
+    )
+
+
 def field_several_balls(objects: int) -> Recipe:
     """FieldNet for two or three balls in ellipsoidal bowls, from one ball's (``--init``).
 
@@ -457,6 +477,7 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "3-balls-between": partial(several_balls_between, 3),
     "field-one-ball": field_one_ball,
     "field-one-ball-continued": field_one_ball_continued,
+    "field-one-ball-rolling": field_one_ball_rolling,
     "field-2-balls": partial(field_several_balls, 2),
     "field-3-balls": partial(field_several_balls, 3),
     "sighted-one-ball": sighted_one_ball,

@@ -18,6 +18,7 @@ from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.dataset import Batch, TrainingStream, Window, compared_horizon, fixed_windows
 from training.losses import final_loss
 from training.metrics import forecast
+from training.models.eye import Eye
 from training.models.fieldnet import FieldNet, true_state
 from training.models.predictor import Family, Network, Observation, in_float32
 from training.models.sighted import Sight, SightedFamily
@@ -85,6 +86,10 @@ class Trainer:
             for name in [trained.name] if trained.name in members else members:
                 load_fitting(members[name], trained.parameters)
         self._earlier_sequences = initial[0].sequences if initial else 0
+        if recipe.explicit is not None and recipe.explicit.reading is None:
+            for module in self.family.modules():
+                if isinstance(module, Eye):
+                    module.requires_grad_(requires_grad=False)
         # torch's own annotations leave memory_format out.
         self.family.to(self.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self._average = torch.optim.swa_utils.AveragedModel(
@@ -310,6 +315,7 @@ class Trainer:
                 name: member.state_dict() for name, member in self.averaged().networks().items()
             },
             "sequences": self._earlier_sequences + self.sequences,
+            "horizon": longest_rollout(self.recipe, self.batches / self._batches_in_all),
             "validation_error_px": self._best_error,
         }
 
@@ -374,6 +380,18 @@ def horizon_at(curriculum: tuple[Milestone, ...], spent: float) -> int:
     shares = [milestone.spent for milestone in curriculum]
     horizons = [milestone.horizon for milestone in curriculum]
     return int(np.interp(spent, shares, horizons))
+
+
+def longest_rollout(recipe: Recipe, spent: float) -> int:
+    """Return the steps of the longest rollouts trained on once a share ``spent`` is gone.
+
+    From frames or, where there is practice, from true states. This, not what the recipe is on its
+    way to, is the trained horizon of weights that are kept before the end.
+    """
+    horizon = horizon_at(recipe.curriculum, spent)
+    if recipe.explicit is None:
+        return horizon
+    return max(horizon, horizon_at(recipe.explicit.curriculum, spent))
 
 
 def warmed_average(decay: float) -> Callable[..., None]:

@@ -34,7 +34,7 @@ def exported(request, runs, tmp_path_factory):
         recipe.scenarios, 1, recipe.final_step, "validation", recipe.validation_scenes, 1
     )
     folder = tmp_path_factory.mktemp("models") / name / "1"
-    export(Trained(recipe, name, predictor, 0), folder, 1, sets, sets)
+    export(Trained(recipe, name, predictor, 0, 2), folder, 1, sets, sets)
     return recipe, name, predictor, folder, sets
 
 

@@ -6,7 +6,14 @@ import torch
 
 from tests.training.conftest import tiny
 from training.models.compact import compact_family
-from training.recipes import Milestone, field_one_ball, one_ball, sighted_one_ball
+from training.recipes import (
+    Milestone,
+    field_one_ball,
+    field_one_ball_rolling,
+    field_several_balls,
+    one_ball,
+    sighted_one_ball,
+)
 from training.trainer import (
     BEST,
     Initial,
@@ -14,6 +21,7 @@ from training.trainer import (
     Trainer,
     horizon_at,
     load_fitting,
+    longest_rollout,
     shared_factor,
     warmed_average,
 )
@@ -67,6 +75,7 @@ def test_training_lowers_the_error_and_keeps_the_best(any_recipe, tmp_path):
     best = torch.load(tmp_path / BEST, weights_only=True)
     assert best["validation_error_px"] == error
     assert best["sequences"] <= any_recipe.sequences
+    assert best["horizon"] == longest_rollout(any_recipe, best["sequences"] / any_recipe.sequences)
     changed = [n for n, v in trainer.family.state_dict().items() if not torch.equal(v, before[n])]
     taught = any_recipe.preset != "sighted"
     assert set(changed) == {name for name in before if taught or ".eye." not in name}
@@ -81,6 +90,14 @@ def test_motion_learns_at_a_rate_of_its_own(runs, tmp_path):
     trainer.run()
     kept = {n for n, v in trainer.family.state_dict().items() if torch.equal(v, before[n])}
     assert kept == {name for name in before if ".rolling." in name}
+
+
+def test_a_taught_eye_can_be_left_as_it_is(runs, tmp_path):
+    trainer = Trainer(tiny(field_one_ball_rolling()), tmp_path, PACE)
+    before = {name: value.clone() for name, value in trainer.family.state_dict().items()}
+    trainer.run()
+    kept = {n for n, v in trainer.family.state_dict().items() if torch.equal(v, before[n])}
+    assert kept == {name for name in before if ".eye." in name}
 
 
 def test_the_average_follows_closely_at_first_and_slowly_later():
@@ -104,6 +121,14 @@ def test_horizon_grows_step_by_step_between_milestones():
     assert horizons[:20] == [2] * 20
     assert horizons[60:] == [10] * 41
     assert set(np.diff(horizons)) == {0, 1}
+
+
+def test_weights_kept_early_claim_no_more_than_they_were_trained_on():
+    recipe = field_several_balls(2)
+    # The practice is ahead of the forecasts, until both have reached the whole horizon.
+    assert longest_rollout(recipe, 0.2) == 8
+    assert longest_rollout(recipe, 0.5) == 15
+    assert longest_rollout(recipe, 1.0) == recipe.trained_horizon == 30
 
 
 def test_what_is_shared_waits_for_the_heads():
