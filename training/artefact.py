@@ -10,6 +10,7 @@ from onnx import numpy_helper
 from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, STEP_FILE, Manifest
 from training.models.predictor import Network
 from training.models.presets import PRESETS
+from training.models.task import Task
 from training.trainer import BEST, Initial
 
 
@@ -49,13 +50,13 @@ def load_exported(folder: Path) -> tuple[Manifest, Network]:
         When a parameter of the network is missing in the graphs.
     """
     manifest = Manifest.read(folder / MANIFEST_FILE)
-    family = PRESETS[manifest.preset](
-        {manifest.name: manifest.variant},
-        manifest.frames,
+    task = Task(
         manifest.objects,
-        angular_velocity=manifest.angular_velocity,
-        interaction=bool(manifest.training.get("interaction", True)),
+        manifest.final_step,
+        manifest.angular_velocity,
+        bool(manifest.training.get("interaction", True)),
     )
+    family = PRESETS[manifest.preset]({manifest.name: manifest.variant}, task)
     predictor = family.networks()[manifest.name]
     stored = read_parameters(folder)
     own = predictor.state_dict()

@@ -13,11 +13,14 @@ from pathlib import Path
 
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from training.artefact import read_initial
-from training.recipes import (
-    Recipe,
-    continued,
+from training.recipes.field import (
     field_one_ball,
+    field_one_ball_between,
     field_several_balls,
+    field_several_balls_between,
+)
+from training.recipes.recipe import Recipe, continued
+from training.recipes.sighted import (
     sighted_one_ball,
     sighted_one_ball_between,
     sighted_several_balls,
@@ -76,6 +79,9 @@ def lines() -> tuple[Line, ...]:
         Line(field_one_ball()),
         Line(field_several_balls(2), parents=("fieldnet",)),
         Line(field_several_balls(3), parents=("fieldnet-2",)),
+        Line(field_one_ball_between(), parents=("fieldnet",)),
+        Line(field_several_balls_between(2), parents=("fieldnet-2",)),
+        Line(field_several_balls_between(3), parents=("fieldnet-3",)),
         # The eye comes from the first, what the first lacks from the others.
         Line(sighted_one_ball(), parents=("fieldnet",)),
         Line(sighted_one_ball_between(), parents=("fieldnet", "dispnet")),

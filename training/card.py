@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from rollcast.manifest import CovarianceSource, MetricRow
 from rollcast.trajectory import FRAME_RATE_HZ
 from training.evaluate import markdown_table
-from training.recipes import Recipe
+from training.recipes.recipe import Recipe
 
 LICENCE = "Apache-2.0"
 
@@ -37,8 +37,8 @@ def model_card(
         "empirical": "the covariance of the network's own validation residuals at each step",
     }[covariance.source]
     frames = "four 128 x 128 frames"
-    if recipe.final_step is not None:
-        frames += f" and the one of step {recipe.final_step}"
+    if recipe.task.final_step is not None:
+        frames += f" and the one of step {recipe.task.final_step}"
     scenes = ", ".join(f"{part.scenes} {part.source.name}" for part in recipe.data)
     others = [member.name for member in recipe.members if member.name != name]
     together = (
@@ -46,7 +46,7 @@ def model_card(
     )
     return f"""# {name}@{version}
 
-{recipe.member(name).variant} ({recipe.preset} preset), {recipe.objects} ball(s), scenarios
+{recipe.member(name).variant} ({recipe.preset} preset), {recipe.task.objects} ball(s), scenarios
 {", ".join(recipe.scenarios)}. It sees {frames} at {FRAME_RATE_HZ} Hz and was trained
 to forecast {horizon} steps.
 

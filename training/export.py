@@ -43,7 +43,7 @@ from training.metrics import Forecasts
 from training.models.eye import Eye
 from training.models.predictor import Network, Observation, State
 from training.models.sighted import AttendedTransition
-from training.recipes import Recipe
+from training.recipes.recipe import Recipe
 from training.settings import keep_runtime_silent
 from training.trainer import BEST
 
@@ -120,7 +120,7 @@ def export_run(
         When torch and ONNX Runtime differ by more than the tolerance.
     """
     best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
-    kind = (recipe.scenarios, recipe.objects, recipe.final_step)
+    kind = (recipe.scenarios, recipe.task.objects, recipe.task.final_step)
     validation = evaluation_sets(*kind, "validation", recipe.validation_scenes, workers)
     test = evaluation_sets(*kind, "test", test_scenes, workers)
     manifests: list[Manifest] = []
@@ -152,6 +152,7 @@ def export(
         When torch and ONNX Runtime differ by more than the tolerance.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    task = trained.recipe.task
     predictor = trained.predictor.cpu().eval()
     for module in predictor.modules():
         if isinstance(module, Eye | AttendedTransition):
@@ -170,7 +171,7 @@ def export(
     chosen = [
         row.position_error_px
         for row in rows
-        if row.split == "validation" and row.horizon == compared_horizon(trained.recipe.objects)
+        if row.split == "validation" and row.horizon == compared_horizon(task.objects)
     ]
     observation = _observation_of(predictor, sample)
     card = model_card(
@@ -185,10 +186,10 @@ def export(
         variant=trained.recipe.member(trained.name).variant,
         preset=trained.recipe.preset,
         scenarios=trained.recipe.scenarios,
-        objects=trained.recipe.objects,
+        objects=task.objects,
         observed_frames=OBSERVED_FRAMES,
-        frames=trained.recipe.frames,
-        final_step=trained.recipe.final_step,
+        frames=task.frames,
+        final_step=task.final_step,
         frame_rate_hz=FRAME_RATE_HZ,
         frame_size=NETWORK_FRAME_SIZE,
         trained_horizon=horizon,
@@ -198,7 +199,9 @@ def export(
         ),
         outputs=tuple(
             Output(
-                name=name, shape=(trained.recipe.objects, *OUTPUT_SHAPES[name]), unit=UNITS[name]
+                name=name,
+                shape=(task.objects, *OUTPUT_SHAPES[name]),
+                unit=UNITS[name],
             )
             for name in observation
         ),
@@ -207,7 +210,7 @@ def export(
         training={
             "sequences": trained.sequences,
             "seed": trained.recipe.seed,
-            "interaction": trained.recipe.interaction,
+            "interaction": task.interaction,
             "scenes": {part.source.name: part.scenes for part in trained.recipe.data},
         },
         metrics=tuple(rows),

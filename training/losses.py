@@ -10,7 +10,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+from rollcast.trajectory import OBSERVED_FRAMES
 from training.models.blocks import PIXEL_UNIT
 from training.models.eye import sampled
 from training.models.predictor import ANGULAR_VELOCITY_UNIT, Observation, Reading
@@ -151,11 +151,6 @@ class ReadingLoss:
     """What an eye read of the frames against the truth: pixels, weighed by what forecasts need.
 
     Closer looks weigh more than the first, velocities most: their errors grow with every step.
-
-    Parameters
-    ----------
-    final_step
-        Forecast step that a fifth frame shows; None for an eye that sees four.
     """
 
     looks = (0.3, 0.5, 1.5)
@@ -166,14 +161,10 @@ class ReadingLoss:
     measures = 2.0
     rounding = 0.1
 
-    def __init__(self, final_step: int | None = None) -> None:
-        final = [] if final_step is None else [FIRST_FORECAST_FRAME + final_step]
-        self._seen = [*range(OBSERVED_FRAMES), *final]
-
     def __call__(self, reading: Reading, scenery: tuple[Tensor, Tensor, Tensor]) -> Tensor:
         """Loss of a reading against the fields of :class:`training.dataset.Scenery`."""
         centres, ground, measures = scenery
-        seen, now = centres[:, :, self._seen, :2], centres[:, :, OBSERVED_FRAMES - 1]
+        seen, now = centres[:, :, :OBSERVED_FRAMES, :2], centres[:, :, OBSERVED_FRAMES - 1]
         before = centres[:, :, OBSERVED_FRAMES - 2]
         off = reading.centres - now
         loss = self._pixels(off[..., :2]) + self.height * PIXEL_UNIT * off[..., 2].abs().mean()

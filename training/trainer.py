@@ -22,7 +22,7 @@ from training.models.eye import Eye
 from training.models.fieldnet import FieldNet, true_state
 from training.models.predictor import Family, Network, Observation, in_float32
 from training.models.sighted import Sight, SightedFamily
-from training.recipes import Milestone, Recipe
+from training.recipes.recipe import Milestone, Recipe
 from training.simulate import Source, load_recordings, simulate_split
 from training.survey import survey
 
@@ -161,7 +161,7 @@ class Trainer:
             [load_recordings(of_source) for of_source in shards],
             [part.share for part in recipe.data],
             [part.latest_start for part in recipe.data],
-            recipe.final_step,
+            recipe.task.final_step,
             recipe.batch_size,
             recipe.seed,
             first_batch=self.batches,
@@ -222,8 +222,8 @@ class Trainer:
         for member in recipe.members:
             made = forecasts[member.name]
             loss = loss + member.weight * member.loss(made, positions[:, :, :horizon])
-            if recipe.final_step is not None:
-                final = positions[:, :, recipe.final_step]
+            if recipe.task.final_step is not None:
+                final = positions[:, :, recipe.task.final_step]
                 loss = loss + member.weight * final_loss(made, final)
         return loss
 
@@ -246,10 +246,10 @@ class Trainer:
         centres, ground, measures = self._scenery(batch)
         spins = batch["angular_velocities"][:, :, :horizon].to(self.device)
         start = true_state(centres[:, :, :OBSERVED_FRAMES], spins[:, :, 0], ground, measures)
+        final = None
+        if recipe.task.final_step is not None:
+            final = centres[:, :, FIRST_FORECAST_FRAME + recipe.task.final_step, :2]
         if isinstance(self.family, SightedFamily):
-            final = None
-            if recipe.final_step is not None:
-                final = centres[:, :, FIRST_FORECAST_FRAME + recipe.final_step, :2]
             with torch.autocast(self.device.type, torch.bfloat16):
                 made = self.family.practise(Sight(start, final), horizon)
             return self._forecast_loss(_all_in_float32(made), batch, horizon)
@@ -258,7 +258,7 @@ class Trainer:
         truth = centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
         for network in self.family.networks().values():
             assert isinstance(network, FieldNet)
-            moved, turned = network.practise(start, horizon)
+            moved, turned = network.practise(network.aimed(start, final), horizon)
             turning = Observation(moved[..., :2], None, turned)
             loss = loss + explicit.motion(moved, truth) + recipe.spin_loss(turning, spins)
         return loss
@@ -269,7 +269,10 @@ class Trainer:
         return centres.to(self.device), ground.to(self.device), measures.to(self.device)
 
     def _clip_gradients(self) -> None:
-        """Cut the gradient to a multiple of its usual length, a running mean of what was let in."""
+        """Cut the gradient to a multiple of its usual length, a running geometric mean.
+
+        Lengths are heavy-tailed over long rollouts: rare ones rule any other mean.
+        """
         usual = self._usual_gradient
         limit = self.recipe.gradient_clip * usual if usual else math.inf
         norm = float(torch.nn.utils.clip_grad_norm_(self.family.parameters(), limit))
@@ -278,7 +281,7 @@ class Trainer:
             self._optimiser.zero_grad(set_to_none=True)
             return
         memory = min(USUAL_GRADIENT_MEMORY, self.batches / (self.batches + 1))
-        self._usual_gradient = memory * usual + (1 - memory) * min(norm, limit)
+        self._usual_gradient = usual**memory * norm ** (1 - memory)
 
     def _autocast_forecasts(self, frames: torch.Tensor, horizon: int) -> dict[str, Observation]:
         with torch.autocast(self.device.type, torch.bfloat16):
@@ -287,7 +290,7 @@ class Trainer:
     def _validate(self, windows: dict[Source, list[Window]], events: SummaryWriter) -> None:
         """Measure the averaged weights and keep them when their mean error is the best."""
         horizon = self.recipe.trained_horizon
-        compared = min(compared_horizon(self.recipe.objects), horizon)
+        compared = min(compared_horizon(self.recipe.task.objects), horizon)
         averaged = self.averaged()
         errors: list[float] = []
         for source, source_windows in windows.items():
@@ -362,14 +365,14 @@ def _give_way(worker: int) -> None:  # noqa: ARG001 - the loader passes its numb
 
 def validation_windows(recipe: Recipe, simulators: int) -> dict[Source, list[Window]]:
     """Windows of the validation split, for every scenario at the usual radius."""
-    sources = [Source(scenario, recipe.objects) for scenario in recipe.scenarios]
+    sources = [Source(scenario, recipe.task.objects) for scenario in recipe.scenarios]
     return {
         source: fixed_windows(
             load_recordings(
                 simulate_split(source, "validation", recipe.validation_scenes, simulators)
             ),
             recipe.trained_horizon,
-            recipe.final_step,
+            recipe.task.final_step,
         )
         for source in sources
     }

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from training.recipes import DataShare, Milestone, Recipe, one_ball
+from training.recipes.compact import one_ball
+from training.recipes.recipe import DataShare, Milestone, Recipe
 from training.simulate import SHARD_SCENES, Source
 
 HEMISPHERE = Source("hemisphere")

@@ -17,7 +17,8 @@ from training.campaign import (
     next_round,
     own_models,
 )
-from training.recipes import one_ball, several_balls, sighted_one_ball
+from training.recipes.compact import one_ball, several_balls
+from training.recipes.sighted import sighted_one_ball
 
 MODELS = Path(__file__).parents[2] / "models"
 

@@ -6,13 +6,14 @@ import torch
 
 from training.dissect import SUBSTITUTES, dissected, dissection_table
 from training.models.fieldnet import FieldNet
+from training.models.task import Task
 from training.simulate import SHARD_SCENES, Source
 
 
 @pytest.fixture(scope="module")
 def errors(runs):
     torch.manual_seed(6)
-    network = FieldNet(4, 1, interaction=True).eval()
+    network = FieldNet(Task()).eval()
     return dissected(network, Source("hemisphere"), SHARD_SCENES, workers=1)
 
 

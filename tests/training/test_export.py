@@ -13,7 +13,8 @@ from tests.training.conftest import tiny
 from training.artefact import load_exported, read_initial, read_parameters
 from training.evaluate import evaluation_sets
 from training.export import Trained, export, measure_parity
-from training.recipes import field_one_ball, one_ball, one_ball_between
+from training.recipes.compact import one_ball, one_ball_between
+from training.recipes.field import field_one_ball
 from training.trainer import load_fitting
 
 ROOT = Path(__file__).parents[2]
@@ -31,7 +32,7 @@ def exported(request, runs, tmp_path_factory):
         for parameter in predictor.parameters():
             parameter.add_(0.003 * torch.randn(parameter.shape))
     sets = evaluation_sets(
-        recipe.scenarios, 1, recipe.final_step, "validation", recipe.validation_scenes, 1
+        recipe.scenarios, 1, recipe.task.final_step, "validation", recipe.validation_scenes, 1
     )
     folder = tmp_path_factory.mktemp("models") / name / "1"
     export(Trained(recipe, name, predictor, 0, 2), folder, 1, sets, sets)

@@ -15,7 +15,9 @@ from training.models.eye import (
 )
 from training.models.fieldnet import AHEAD, Ball, Encounters, FieldNet, field_family
 from training.models.predictor import ANGULAR_VELOCITY_UNIT, Observation, Reading, State
-from training.recipes import continued, field_one_ball, field_several_balls
+from training.models.task import Task
+from training.recipes.field import field_one_ball, field_several_balls
+from training.recipes.recipe import continued
 from training.trainer import horizon_at, load_fitting
 
 FRAMES = torch.randint(
@@ -32,7 +34,7 @@ def balls(centres: torch.Tensor, velocities: torch.Tensor) -> Ball:
 
 def field_net(objects: int = 1, *, interaction: bool = True) -> FieldNet:
     torch.manual_seed(11)
-    return FieldNet(4, objects, interaction=interaction).eval()
+    return FieldNet(Task(objects, interaction=interaction)).eval()
 
 
 def unsettled(network: FieldNet) -> FieldNet:
@@ -139,7 +141,7 @@ def test_a_ball_that_rolls_does_not_slip(lean):
 
 def test_an_untaught_eye_takes_balls_to_be_rolling():
     torch.manual_seed(8)
-    eye = Eye(4, 1).eval()
+    eye = Eye(1).eval()
     with torch.no_grad():
         for parameter in eye.state[-1].parameters():
             parameter.zero_()
@@ -154,7 +156,7 @@ def test_an_untaught_eye_takes_balls_to_be_rolling():
 
 def test_a_closer_look_sees_its_own_patch_alone():
     torch.manual_seed(4)
-    look = CloserLook(4, 8).eval()
+    look = CloserLook(8).eval()
     with torch.no_grad():
         look.correction.weight.normal_()
     images = torch.rand(1, 4, 3, 128, 128)
@@ -255,6 +257,65 @@ def test_several_balls_begin_as_one_ball_each():
         torch.testing.assert_close(doubled, part.repeat(1, 2, 1))
 
 
+def guided(step: int = 39) -> FieldNet:
+    torch.manual_seed(11)
+    return FieldNet(Task(final_step=step)).eval()
+
+
+def test_an_untaught_guide_changes_nothing_but_tells_the_final_place():
+    one, two = unsettled(field_net()), guided()
+    load_fitting(two, one.state_dict())
+    frames = torch.cat([FRAMES, FRAMES[:, :1]], dim=1)
+    with torch.inference_mode():
+        forecast, unguided = two(frames, 8), one(FRAMES, 8)
+        at_rest = one.eye.at_rest(FRAMES[:, 0])
+    torch.testing.assert_close(forecast.positions, unguided.positions)
+    torch.testing.assert_close(forecast.covariances, unguided.covariances)
+    torch.testing.assert_close(forecast.final_positions, 64 + 64 * at_rest)
+
+
+def test_a_still_frame_is_four_of_balls_at_rest():
+    network = unsettled(field_net())
+    with torch.inference_mode():
+        looks = network.eye(FRAMES[:, :1].expand(-1, 4, -1, -1, -1)).seen_positions
+        at_rest = network.eye.at_rest(FRAMES[:, 0])
+    torch.testing.assert_close(at_rest, looks[-1][:, :, -1])
+
+
+def test_a_taught_guide_leads_a_ball_to_its_final_place():
+    """Over level ground, from any velocity that is read wrong: steps that make up for it."""
+    network = guided(step=10)
+    ground = torch.zeros(64, 3, 32, 32)
+    generator = torch.Generator().manual_seed(1)
+    optimiser = torch.optim.Adam(network.guide.parameters(), 3e-3)
+    losses = []
+    for _ in range(150):
+        centres = 0.5 * torch.rand(64, 1, 3, generator=generator)
+        true = 0.05 * torch.randn(64, 1, 3, generator=generator)
+        wrong = true + 0.03 * torch.randn(64, 1, 3, generator=generator)
+        ways = centres[:, :, None, :2] + torch.arange(11)[:, None] * true[:, :, None, :2]
+        start = network.aimed(State(ground, balls(centres, wrong).packed()), ways[:, :, -1])
+        moved, _ = network.practise(start, 11)
+        loss = (moved[..., :2] - ways).norm(dim=-1).mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < 0.25 * losses[0]
+
+
+def test_a_forecast_counts_down_to_the_final_frame():
+    network = guided(step=3)
+    start = balls(torch.zeros(1, 1, 3), torch.zeros(1, 1, 3))
+    state = network.aimed(State(torch.zeros(1, 3, 32, 32), start.packed()), torch.zeros(1, 1, 2))
+    left = []
+    with torch.inference_mode():
+        for _ in range(4):
+            left.append(float(state.p[..., -1]))
+            state = network.advance(state)
+    assert left == [3, 2, 1, 0]
+
+
 def test_going_on_begins_with_the_eye_alone():
     recipe = continued(field_several_balls(2))
     assert horizon_at(recipe.curriculum, 0.5) == 1
@@ -264,11 +325,9 @@ def test_going_on_begins_with_the_eye_alone():
 
 def test_what_the_preset_cannot_make_is_refused():
     with pytest.raises(ValueError, match="fieldnet alone"):
-        field_family({"one": "posnet"}, 4, 1, angular_velocity=True)
-    with pytest.raises(ValueError, match="fieldnet alone"):
-        field_family({"one": "fieldnet"}, 4, 1, angular_velocity=False)
-    with pytest.raises(ValueError, match="four frames"):
-        field_family({"one": "fieldnet"}, 5, 1, angular_velocity=True)
+        field_family({"one": "posnet"}, Task())
+    with pytest.raises(ValueError, match="cannot be left out"):
+        field_family({"one": "fieldnet"}, Task(angular_velocity=False))
 
 
 def test_a_third_ball_is_looked_for_as_the_first_is():

@@ -13,12 +13,16 @@ from training.models.predictor import (
     SharedStateFamily,
     logit_of_variance,
 )
+from training.models.task import Task
 
 
 def compact(variant: str, objects: int = 1, *, angular_velocity: bool = True) -> Predictor:
-    frames = 5 if variant == "interpnet" else 4
-    family = compact_family({"it": variant}, frames, objects, angular_velocity=angular_velocity)
-    return family.networks()["it"]
+    task = Task(objects, final_step_of(variant), angular_velocity=angular_velocity)
+    return compact_family({"it": variant}, task).networks()["it"]
+
+
+def final_step_of(variant: str) -> int | None:
+    return 39 if variant == "interpnet" else None
 
 
 def images(count: int) -> torch.Tensor:
@@ -68,15 +72,16 @@ def shake(network: torch.nn.Module) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "count"), [(("posnet", "dispnet", "probnet"), 4), (("interpnet",), 5)]
+    ("names", "final_step"), [(("posnet", "dispnet", "probnet"), None), (("interpnet",), 39)]
 )
-def test_a_family_forecasts_what_its_members_forecast_alone(names, count):
+def test_a_family_forecasts_what_its_members_forecast_alone(names, final_step):
     torch.manual_seed(2)
-    family = compact_family({name: name for name in names}, count, 2, angular_velocity=True).eval()
+    task = Task(2, final_step)
+    family = compact_family({name: name for name in names}, task).eval()
     with torch.inference_mode():
-        together = family(images(count), 4)
+        together = family(images(task.frames), 4)
         for name, member in family.networks().items():
-            for one, other in zip(together[name], member(images(count), 4), strict=True):
+            for one, other in zip(together[name], member(images(task.frames), 4), strict=True):
                 torch.testing.assert_close(one, other)
 
 
@@ -90,14 +95,14 @@ def encoder_of_swapped(encoder: torch.nn.Module) -> torch.nn.Module:
 @pytest.mark.parametrize("interaction", [True, False])
 @pytest.mark.parametrize("name", ["posnet", "dispnet", "probnet", "interpnet"])
 def test_swapped_balls_take_swapped_courses(name, interaction):
-    count = 5 if name == "interpnet" else 4
-    family = compact_family({"it": name}, count, 2, angular_velocity=True, interaction=interaction)
+    task = Task(2, final_step_of(name), interaction=interaction)
+    family = compact_family({"it": name}, task)
     member = family.networks()["it"].eval()
     shake(member)
     swapped = copy.deepcopy(member)
     swapped.encoder = encoder_of_swapped(member.encoder)
     with torch.inference_mode():
-        pairs = zip(member(images(count), 5), swapped(images(count), 5), strict=True)
+        pairs = zip(member(images(task.frames), 5), swapped(images(task.frames), 5), strict=True)
         for one, other in pairs:
             if one is not None:
                 assert not torch.allclose(one[:, 0], one[:, 1])
@@ -107,9 +112,7 @@ def test_swapped_balls_take_swapped_courses(name, interaction):
 def test_balls_know_of_each_other_by_their_interaction_alone():
     torch.manual_seed(0)
     for interaction in (True, False):
-        family = compact_family(
-            {"it": "posnet"}, 4, 3, angular_velocity=True, interaction=interaction
-        )
+        family = compact_family({"it": "posnet"}, Task(3, interaction=interaction))
         shake(family)
         transition = family.networks()["it"].transition
         s = torch.randn(1, 3, 128, 8, 8)

@@ -6,6 +6,7 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from training.models.paper import HEADS, VGG16, VggEncoder, load_imagenet, paper_family
+from training.models.task import Task
 
 CONVOLUTIONS = sum(len(widths) for widths in VGG16)
 TORCHVISION_LAYERS = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)
@@ -21,10 +22,10 @@ def test_the_convolution_base_has_vgg16s_parameters():
 @pytest.mark.parametrize("name", HEADS)
 def test_shapes_and_gradients(name, objects, channels):
     torch.manual_seed(0)
-    count = 5 if name == "interpnet" else 4
-    family = paper_family({"it": name}, count, objects, angular_velocity=True)
+    task = Task(objects, final_step=39 if name == "interpnet" else None)
+    family = paper_family({"it": name}, task)
     predictor = family.networks()["it"]
-    frames = torch.randint(0, 256, (1, count, 128, 128, 3), dtype=torch.uint8)
+    frames = torch.randint(0, 256, (1, task.frames, 128, 128, 3), dtype=torch.uint8)
     assert predictor.start(frames).s.shape == (1, objects, channels, 8, 8)
     forecast = predictor(frames, 3)
     assert forecast.positions.shape == (1, objects, 3, 2)

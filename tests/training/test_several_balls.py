@@ -10,7 +10,9 @@ from rollcast.manifest import MANIFEST_FILE, Manifest
 from tests.training.conftest import tiny
 from training.artefact import load_exported, read_initial
 from training.export import export_run
-from training.recipes import DataShare, Recipe, field_several_balls, several_balls_between
+from training.recipes.compact import several_balls_between
+from training.recipes.field import field_several_balls, field_several_balls_between
+from training.recipes.recipe import DataShare, Recipe
 from training.simulate import SHARD_SCENES, Source
 from training.trainer import Pace, Trainer
 
@@ -67,16 +69,18 @@ def test_a_wider_network_begins_as_the_narrower_one(two_balls, tmp_path):
     assert not own[first][:, 128:].any()
 
 
-def test_two_balls_with_an_explicit_state_go_all_the_way(runs, tmp_path):
-    base = field_several_balls(2)
+@pytest.mark.parametrize("make", [field_several_balls, field_several_balls_between])
+def test_two_balls_with_an_explicit_state_go_all_the_way(make, runs, tmp_path):
+    base = make(2)
     data = (DataShare(Source("ellipsoid", 2), SHARD_SCENES, share=1, latest_start=100),)
     recipe = replace(tiny(base), data=data, scenarios=base.scenarios, sequences=8)
-    Trainer(recipe, tmp_path, PACE).run()
+    Trainer(recipe, tmp_path, PACE, [read_initial(MODELS / "fieldnet-2" / "1")]).run()
     export_run(recipe, tmp_path, tmp_path, 1, SHARD_SCENES, workers=1)
-    manifest, network = load_exported(tmp_path / "fieldnet-2" / "1")
-    assert manifest.objects == 2
+    manifest, network = load_exported(tmp_path / base.members[0].name / "1")
+    assert (manifest.objects, manifest.final_step) == (2, base.task.final_step)
     assert manifest.covariance.source == "predicted"
     with torch.inference_mode():
-        forecast = network(torch.zeros(1, 4, 128, 128, 3, dtype=torch.uint8), 3)
+        frames = torch.zeros(1, base.task.frames, 128, 128, 3, dtype=torch.uint8)
+        forecast = network(frames, 3)
     assert forecast.positions.shape == (1, 2, 3, 2)
     assert forecast.covariances.shape == (1, 2, 3, 2, 2)

@@ -8,12 +8,11 @@ import torch
 from tests.training.conftest import tiny
 from training.artefact import load_exported
 from training.export import export_run
-from training.losses import ReadingLoss
-from training.models.eye import Eye
 from training.models.fieldnet import Ball, FieldNet, seen_state
 from training.models.predictor import State
 from training.models.sighted import Sight, SightedFamily, sighted_family
-from training.recipes import sighted_one_ball, sighted_one_ball_between
+from training.models.task import Task
+from training.recipes.sighted import sighted_one_ball, sighted_one_ball_between
 from training.simulate import SHARD_SCENES
 from training.trainer import Initial, Pace, Trainer, load_fitting
 
@@ -25,8 +24,8 @@ PACE = Pace(validate_every=16, checkpoint_seconds=1000, workers=0)
 
 def family(frames: int = 4, objects: int = 1, **options: bool) -> SightedFamily:
     torch.manual_seed(7)
-    variant = "posnet" if frames == 4 else "interpnet"
-    made = sighted_family({"it": variant}, frames, objects, angular_velocity=True, **options)
+    variant, final_step = ("posnet", None) if frames == 4 else ("interpnet", 39)
+    made = sighted_family({"it": variant}, Task(objects, final_step, **options))
     assert isinstance(made, SightedFamily)
     return made.eval()
 
@@ -34,7 +33,7 @@ def family(frames: int = 4, objects: int = 1, **options: bool) -> SightedFamily:
 def unsettled_field_net() -> FieldNet:
     """FieldNet whose weights that begin at zero have some of any size."""
     torch.manual_seed(2)
-    network = FieldNet(4, 1, interaction=False).eval()
+    network = FieldNet(Task()).eval()
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(0.02 * torch.randn(parameter.shape))
@@ -58,7 +57,7 @@ def test_frames_and_what_is_read_of_them_give_the_same_forecast(frames):
         made = networks(seen, 5)["it"]
         reading = made.reading
         state = seen_state(reading, torch.zeros_like(reading.centres))
-        finals = reading.seen_positions[-1][:, :, 4] if frames == 5 else None
+        finals = networks.encoder.eye.at_rest(FRAMES[:, 4]) if frames == 5 else None
         again = networks.practise(Sight(state, finals), 5)["it"]
     torch.testing.assert_close(made.positions, again.positions)
     torch.testing.assert_close(made.angular_velocities, again.angular_velocities)
@@ -128,46 +127,17 @@ def test_forecasts_do_not_teach_the_eye():
     assert all(parameter.grad is not None for parameter in networks.encoder.spread.parameters())
 
 
-def test_an_eye_for_five_frames_begins_as_one_for_four():
-    field_net = unsettled_field_net()
-    networks = family(5)
-    taken = load_fitting(networks.networks()["it"], field_net.state_dict())
-    assert set(taken) == {f"encoder.{name}" for name in field_net.state_dict() if "eye." in name}
-    with torch.inference_mode():
-        four = field_net.eye(FRAMES[:, :4])
-        five = networks.encoder.eye(FRAMES)
-    torch.testing.assert_close(five.seen_positions[-1][:, :, :4], four.seen_positions[-1])
-    for part in ("ground", "measures", "centres", "velocities", "spins"):
-        torch.testing.assert_close(getattr(five, part), getattr(four, part))
-
-
-def test_the_final_frame_is_judged_at_its_step():
-    eye = Eye(5, 1)
-    with torch.no_grad():
-        reading = eye(FRAMES)
-        centres = torch.zeros(2, 1, 43, 3)
-        centres[:, :, :4, :2] = reading.seen_positions[-1][:, :, :4]
-        ground, measures = reading.ground, reading.measures
-        loss = ReadingLoss(final_step=39)
-        far = loss(reading, (centres, ground, measures))
-        centres[:, :, 42, :2] = reading.seen_positions[-1][:, :, 4]
-        near = loss(reading, (centres, ground, measures))
-    assert near < far
-
-
 @pytest.mark.parametrize("base", [sighted_one_ball, sighted_one_ball_between])
 def test_it_goes_all_the_way(runs, tmp_path, base):
     recipe = replace(tiny(base()), sequences=16, members=base().members[-1:])
-    if recipe.final_step is not None:
-        recipe = replace(recipe, final_step=3)
-        assert recipe.explicit is not None
-        recipe = replace(recipe, explicit=replace(recipe.explicit, reading=ReadingLoss(3)))
+    if recipe.task.frames == 5:
+        recipe = replace(recipe, task=Task(final_step=3))
     taught = Initial("fieldnet", unsettled_field_net().state_dict(), 100)
     Trainer(recipe, tmp_path, PACE, [taught]).run()
     export_run(recipe, tmp_path, tmp_path, 1, SHARD_SCENES, workers=1)
     manifest, network = load_exported(tmp_path / recipe.members[0].name / "1")
-    assert (manifest.preset, manifest.frames) == ("sighted", recipe.frames)
+    assert (manifest.preset, manifest.frames) == ("sighted", recipe.task.frames)
     assert manifest.training["sequences"] == 116
     with torch.inference_mode():
-        forecast = network(torch.zeros(1, recipe.frames, 128, 128, 3, dtype=torch.uint8), 3)
+        forecast = network(torch.zeros(1, recipe.task.frames, 128, 128, 3, dtype=torch.uint8), 3)
     assert forecast.positions.shape == (1, 1, 3, 2)

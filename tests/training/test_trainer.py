@@ -6,14 +6,11 @@ import torch
 
 from tests.training.conftest import tiny
 from training.models.compact import compact_family
-from training.recipes import (
-    Milestone,
-    field_one_ball,
-    field_one_ball_rolling,
-    field_several_balls,
-    one_ball,
-    sighted_one_ball,
-)
+from training.models.task import Task
+from training.recipes.compact import one_ball
+from training.recipes.field import field_one_ball, field_one_ball_rolling, field_several_balls
+from training.recipes.recipe import Milestone
+from training.recipes.sighted import sighted_one_ball
 from training.trainer import (
     BEST,
     Initial,
@@ -139,7 +136,7 @@ def test_what_is_shared_waits_for_the_heads():
 
 
 def test_foreign_parameters_are_refused():
-    family = compact_family({"one": "posnet"}, 4, 1, angular_velocity=True)
+    family = compact_family({"one": "posnet"}, Task())
     with pytest.raises(ValueError, match="share no name"):
         load_fitting(family.networks()["one"], {"somebody.else": torch.zeros(3)})
 

@@ -12,6 +12,7 @@ from training.models.blocks import (
     SpatialReadout,
 )
 from training.models.predictor import Family, Head, Predictor, SharedStateFamily
+from training.models.task import Task
 
 CHANNELS = 128
 
@@ -24,19 +25,12 @@ HEADS: Mapping[str, Callable[[int], Head]] = {
 """What tells the variants apart."""
 
 
-def compact_family(
-    variants: Mapping[str, str],
-    frames: int,
-    objects: int,
-    *,
-    angular_velocity: bool,
-    interaction: bool = True,
-) -> Family:
+def compact_family(variants: Mapping[str, str], task: Task) -> Family:
     """Make a family in the compact preset (see :class:`training.models.presets.Preset`)."""
-    encoder = CompactEncoder(frames, objects, CHANNELS)
-    met = ObjectInteraction() if interaction and objects > 1 else None
+    encoder = CompactEncoder(task.frames, task.objects, CHANNELS)
+    met = ObjectInteraction() if task.meetings else None
     transition = ConvTransition(CHANNELS, 128, met)
-    return SharedStateFamily(composed(variants, encoder, transition, spin=angular_velocity))
+    return SharedStateFamily(composed(variants, encoder, transition, spin=task.angular_velocity))
 
 
 def composed(

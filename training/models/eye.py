@@ -112,13 +112,14 @@ class FirstLook(nn.Module):
 
     place: Tensor
 
-    def __init__(self, frames: int, objects: int) -> None:
+    def __init__(self, objects: int) -> None:
         super().__init__()
         fine, middle, coarse = 48, 96, 128
         self.seen = (objects, OBSERVED_FRAMES)
         self.register_buffer("place", cell_centres(NETWORK_FRAME_SIZE)[None], persistent=False)
         self.stem = nn.Sequential(
-            nn.Conv2d(3 * frames + 2, fine, 8, stride=4, padding=2), ResidualConv(fine, fine)
+            nn.Conv2d(3 * OBSERVED_FRAMES + 2, fine, 8, stride=4, padding=2),
+            ResidualConv(fine, fine),
         )
         self.down_16 = nn.Sequential(
             nn.ReLU(),
@@ -137,15 +138,12 @@ class FirstLook(nn.Module):
         self.refine_32 = ResidualConv(fine, fine)
         self.ground = nn.Conv2d(fine, 3, 3, padding=1)
         self.where = nn.Conv2d(middle, objects * OBSERVED_FRAMES * 3, 1)
-        self.where_final = None if frames == OBSERVED_FRAMES else nn.Conv2d(middle, objects * 3, 1)
         self.measures = nn.Linear(coarse, 2)
 
     def forward(self, frames_BKHW3: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Positions [B, N, K, 2] in the seen frames, ground [B, 3, 32, 32] and measures [B, 2]."""
         image = normalised_frames(frames_BKHW3)
-        observed, final = image[:, : 3 * OBSERVED_FRAMES], image[:, 3 * OBSERVED_FRAMES :]
-        # The final frame comes last: an eye for four frames is widened by inputs that it ignores.
-        image = torch.cat([observed, self.place.expand(image.shape[0], -1, -1, -1), final], dim=1)
+        image = torch.cat([image, self.place.expand(image.shape[0], -1, -1, -1)], dim=1)
         image = image.contiguous(memory_format=torch.channels_last)
         at_32 = self.stem(image)
         at_16 = self.down_16(at_32)
@@ -155,9 +153,6 @@ class FirstLook(nn.Module):
         ground = self.ground(at_32.relu()).float()
         ground = torch.cat([ground[:, :2].tanh(), ground[:, 2:]], dim=1)
         positions = _attended(self.where(at_16.relu()), self.seen)
-        if self.where_final is not None:
-            final_positions = _attended(self.where_final(at_16.relu()), (self.seen[0], 1))
-            positions = torch.cat([positions, final_positions], dim=2)
         measures = self.measures(at_8.relu().float().mean(dim=(2, 3))).float()
         return positions, ground, measures
 
@@ -173,10 +168,10 @@ class CloserLook(nn.Module):
 
     grid: Tensor
 
-    def __init__(self, frames: int, features: int) -> None:
+    def __init__(self, features: int) -> None:
         super().__init__()
         self.layers = nn.Sequential(
-            nn.Conv2d(3 * frames, 64, 5, stride=2, padding=2),
+            nn.Conv2d(3 * OBSERVED_FRAMES, 64, 5, stride=2, padding=2),
             ResidualConv(64, 64),
             ResidualConv(64, 64),
             nn.ReLU(),
@@ -190,12 +185,9 @@ class CloserLook(nn.Module):
             nn.ReLU(),
         )
         self.correction = nn.Linear(256, 2 * OBSERVED_FRAMES)
-        self.correction_final = None if frames == OBSERVED_FRAMES else nn.Linear(256, 2)
         self.features = nn.Linear(256, features)
-        for correction in (self.correction, self.correction_final):
-            if correction is not None:
-                nn.init.zeros_(correction.weight)
-                nn.init.zeros_(correction.bias)
+        nn.init.zeros_(self.correction.weight)
+        nn.init.zeros_(self.correction.bias)
         grid = PATCH_HALF_WIDTH * cell_centres(PATCH).permute(1, 2, 0)
         self.register_buffer("grid", grid, persistent=False)
 
@@ -213,10 +205,7 @@ class CloserLook(nn.Module):
         patches = patches.reshape(batch, frames, 3, objects, PATCH, PATCH)
         stacked = patches.permute(0, 3, 1, 2, 4, 5).reshape(-1, 3 * frames, PATCH, PATCH)
         seen = self.layers(stacked.contiguous(memory_format=torch.channels_last))
-        corrections = self.correction(seen).float()
-        if self.correction_final is not None:
-            corrections = torch.cat([corrections, self.correction_final(seen).float()], dim=1)
-        correction = corrections.reshape(batch, objects, frames, 2)
+        correction = self.correction(seen).float().reshape(batch, objects, frames, 2)
         return centres + correction, self.features(seen).float().reshape(batch, objects, -1)
 
 
@@ -227,25 +216,21 @@ class Eye(nn.Module):
     Rise and spin are read as what differs from rolling along the ground without slipping.
     """
 
-    def __init__(self, frames: int, objects: int) -> None:
+    def __init__(self, objects: int) -> None:
         super().__init__()
-        self.first = FirstLook(frames, objects)
-        self.closer = CloserLook(frames, FEATURES)
+        self.first = FirstLook(objects)
+        self.closer = CloserLook(FEATURES)
         seen = FEATURES + 2 * (OBSERVED_FRAMES - 1) + 2 + 3 * len(SAMPLE_AHEAD) + 2 + 4
         self.state = nn.Sequential(
             nn.Linear(seen, 192), nn.SiLU(), nn.Linear(192, 192), nn.SiLU(), nn.Linear(192, 9)
         )
 
     def forward(self, frames_BKHW3: Tensor) -> Reading:
-        """Look at frames uint8 [B, K, 128, 128, 3]."""
-        rough, ground, measures = self.first(frames_BKHW3)
-        images = frames_BKHW3.permute(0, 1, 4, 2, 3).float() / 127.5 - 1
-        near, _ = self.closer(images, rough)
-        exact, features = self.closer(images, near)
+        """Look at the observed frames uint8 [B, 4, 128, 128, 3]."""
+        (rough, near, exact), features, ground, measures = self._look(frames_BKHW3)
         with full_precision(exact.device):
-            observed = exact[:, :, :OBSERVED_FRAMES]
-            last = observed[:, :, -1]
-            shifts = observed[:, :, 1:] - observed[:, :, :-1]
+            last = exact[:, :, -1]
+            shifts = exact[:, :, 1:] - exact[:, :, :-1]
             ahead = torch.stack([last + a * shifts[:, :, -1] for a in SAMPLE_AHEAD], dim=2)
             felt = sampled(ground, ahead.detach())
             lean, scale = felt[:, :, 0, :2], measures[:, None].expand(-1, last.shape[1], -1)
@@ -261,6 +246,32 @@ class Eye(nn.Module):
             spins = rolling + said[..., 6:]
         positions = (rough, near, exact)
         return Reading(positions, ground, measures, centres, velocities, spins, features)
+
+    def at_rest(self, frame_BHW3: Tensor) -> Tensor:
+        """Positions [B, N, 2] in a single frame, seen as four of balls that stay put.
+
+        Nothing is learned for it: balls that come to rest are in every training.
+        """
+        looks, *_ = self._look(frame_BHW3[:, None].expand(-1, OBSERVED_FRAMES, -1, -1, -1))
+        return looks[-1][:, :, -1]
+
+    def _look(
+        self, frames_BKHW3: Tensor
+    ) -> tuple[tuple[Tensor, Tensor, Tensor], Tensor, Tensor, Tensor]:
+        """Positions by look, features of the closest, ground and measures."""
+        rough, ground, measures = self.first(frames_BKHW3)
+        images = frames_BKHW3.permute(0, 1, 4, 2, 3).float() / 127.5 - 1
+        near, _ = self.closer(images, rough)
+        exact, features = self.closer(images, near)
+        return (rough, near, exact), features, ground, measures
+
+
+def looked(eye: Eye, frames_BKHW3: Tensor) -> tuple[Reading, Tensor | None]:
+    """Read the observed frames, and positions [B, N, 2] in a final one where there is one."""
+    reading: Reading = eye(frames_BKHW3[:, :OBSERVED_FRAMES])
+    if frames_BKHW3.shape[1] == OBSERVED_FRAMES:
+        return reading, None
+    return reading, eye.at_rest(frames_BKHW3[:, OBSERVED_FRAMES])
 
 
 def _attended(values: Tensor, seen: tuple[int, int]) -> Tensor:

@@ -9,7 +9,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from training.models.eye import FEATURES, Eye, full_precision, of_each, radius_of, sampled
+from training.models.eye import (
+    FEATURES,
+    Eye,
+    full_precision,
+    looked,
+    of_each,
+    radius_of,
+    sampled,
+)
 from training.models.predictor import (
     ANGULAR_VELOCITY_UNIT,
     Family,
@@ -19,7 +27,9 @@ from training.models.predictor import (
     Reading,
     State,
     logit_of_variance,
+    pixels,
 )
+from training.models.task import Task
 
 AHEAD = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Frames ahead, at the present velocity, at which the ground is felt."""
@@ -31,6 +41,9 @@ FARTHEST, FASTEST, MOST_SPIN = 2.0, 1.0, 25.0
 """Bounds of a ball's state that no scene comes near: a rollout cannot run away."""
 
 FIRST_VARIANCE_PX2 = 2.0
+
+NUMBERS = 3 + 3 + 3 + 3 + 2
+"""Of a ball."""
 
 
 class Ball(NamedTuple):
@@ -60,6 +73,23 @@ class Ball(NamedTuple):
     def radius(self) -> Tensor:
         """[..., 1], halves of the frame."""
         return radius_of(self.measures)
+
+    def changed(self, moved: Tensor, pushed: Tensor, turned: Tensor) -> "Ball":
+        """Ball whose centre, velocity and spin a network changed, within their bounds."""
+        return self._replace(
+            centre=(self.centre + 0.1 * moved).clamp(-FARTHEST, FARTHEST),
+            velocity=(self.velocity + 0.1 * pushed).clamp(-FASTEST, FASTEST),
+            spin=(self.spin + turned).clamp(-MOST_SPIN, MOST_SPIN),
+        )
+
+
+class Aim(NamedTuple):
+    """Where a ball will be in the final frame."""
+
+    final: Tensor
+    """[..., 2]."""
+    steps: Tensor
+    """[..., 1] until then."""
 
 
 class Encounters(nn.Module):
@@ -123,13 +153,8 @@ class Rolling(nn.Module):
         moved, pushed, turned = change.split(3, dim=-1)
         doubting = torch.cat([ball.doubt, felt], dim=-1).detach()
         doubt = ball.doubt + of_each(self.doubt, doubting)
-        return Ball(
-            (ball.centre + ball.velocity + 0.1 * moved).clamp(-FARTHEST, FARTHEST),
-            (ball.velocity + 0.1 * pushed).clamp(-FASTEST, FASTEST),
-            (ball.spin + turned).clamp(-MOST_SPIN, MOST_SPIN),
-            doubt,
-            ball.measures,
-        )
+        rolled = ball._replace(centre=ball.centre + ball.velocity, doubt=doubt)
+        return rolled.changed(moved, pushed, turned)
 
     def _felt(self, ball: Ball, ground_B3GG: Tensor) -> Tensor:
         """Numbers [B, N, felt] that the perceptrons work on."""
@@ -154,22 +179,77 @@ class Rolling(nn.Module):
         return torch.cat(known, dim=-1)
 
 
+class Guide(nn.Module):
+    """What knowing the final place changes: a perceptron over what a ball lacks to get there.
+
+    It feels the ground on the straight way to that place, where something else may be in between.
+    """
+
+    points = 5
+    """On that way."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        hidden = 192
+        known = 3 * 3 + 2 + 4 * 2 + 2 + 3 * self.points
+        self.layers = nn.Sequential(
+            nn.Linear(known, hidden), nn.SiLU(), nn.Linear(hidden, hidden), nn.SiLU()
+        )
+        self.change = nn.Linear(hidden, 9)
+        self.doubt = nn.Sequential(nn.Linear(known + 3, 64), nn.SiLU(), nn.Linear(64, 3))
+        for last in (self.change, self.doubt[-1]):
+            assert isinstance(last, nn.Linear)
+            nn.init.zeros_(last.weight)
+            nn.init.zeros_(last.bias)
+
+    def forward(self, ball: Ball, rolled: Ball, ground_B3GG: Tensor, aim: Aim) -> Ball:
+        """Balls a frame later, from how they are and where they would roll unguided."""
+        lacking = self._lacking(ball, rolled, ground_B3GG, aim)
+        change = of_each(self.change, of_each(self.layers, lacking))
+        doubting = torch.cat([rolled.doubt, lacking], dim=-1).detach()
+        doubt = rolled.doubt + of_each(self.doubt, doubting)
+        return rolled._replace(doubt=doubt).changed(*change.split(3, dim=-1))
+
+    def _lacking(self, ball: Ball, rolled: Ball, ground_B3GG: Tensor, aim: Aim) -> Tensor:
+        """Numbers [B, N, known] that the perceptrons work on."""
+        left = aim.steps - 1
+        way = aim.final - rolled.centre[..., :2]
+        # What the mean velocity over the steps left differs by from the present one, and how far
+        # the ball would be off if it kept the latter.
+        needed = way / left.clamp(min=1) - rolled.velocity[..., :2]
+        off = (way - left * rolled.velocity[..., :2]).clamp(-2, 2)
+        along = torch.linspace(0, 1, self.points, device=way.device)[:, None]
+        under = sampled(ground_B3GG, rolled.centre[..., None, :2] + along * way[..., None, :])
+        height = under[..., 2] - rolled.centre[..., 2:]
+        known = [
+            10 * rolled.velocity, rolled.spin, 10 * (rolled.velocity - ball.velocity),
+            ball.measures, way, way / aim.steps.clamp(min=1), 10 * needed, off,
+            1 / aim.steps.clamp(min=1), aim.steps / 40,
+            under[..., 0], under[..., 1], height,
+        ]  # fmt: skip
+        return torch.cat(known, dim=-1)
+
+
 class FieldNet(Network):
     """Eye x rolling: s_t is the map of the ground, which stays, and p_t the balls' states.
+
+    With a final frame, p_t also carries where the balls will be then, and when: a guide bends their
+    ways towards it.
 
     Raises
     ------
     ValueError
-        When more than the four observed frames are asked for.
+        Without angular velocities, which are a part of the state.
     """
 
-    def __init__(self, frames: int, objects: int, *, interaction: bool) -> None:
+    def __init__(self, task: Task) -> None:
         super().__init__()
-        if frames != 4:
-            raise ValueError(f"fieldnet sees four frames, not {frames}")
-        self.eye = Eye(frames, objects)
-        met = Encounters() if interaction and objects > 1 else None
-        self.rolling = Rolling(met)
+        if not task.angular_velocity:
+            raise ValueError("fieldnet's state has angular velocities: they cannot be left out")
+        self.final_step = task.final_step
+        self.eye = Eye(task.objects)
+        self.rolling = Rolling(Encounters() if task.meetings else None)
+        self.guide = None if task.final_step is None else Guide()
         self.first_doubt = nn.Linear(FEATURES, 3)
         nn.init.zeros_(self.first_doubt.weight)
         with torch.no_grad():
@@ -183,20 +263,40 @@ class FieldNet(Network):
         return self._look(frames_BKHW3)[0]
 
     def _look(self, frames_BKHW3: Tensor) -> tuple[State, Reading]:
-        reading: Reading = self.eye(frames_BKHW3)
+        reading, finals = looked(self.eye, frames_BKHW3)
         with full_precision(reading.ground.device):
             doubt = of_each(self.first_doubt, reading.features.detach())
-        return seen_state(reading, doubt), reading
+        return self.aimed(seen_state(reading, doubt), finals), reading
+
+    def aimed(self, state: State, finals_BN2: Tensor | None) -> State:
+        """State whose balls also carry where they will be in the final frame, if it is known."""
+        if finals_BN2 is None:
+            return state
+        assert self.final_step is not None
+        steps = torch.full_like(finals_BN2[..., :1], self.final_step)
+        return State(state.s, torch.cat([state.p, finals_BN2, steps], dim=-1))
 
     def advance(self, state: State) -> State:
         """h_{t+1} from h_t."""
-        return State(state.s, self.rolling(Ball.unpacked(state.p), state.s).packed())
+        if self.guide is None:
+            return State(state.s, self.rolling(Ball.unpacked(state.p), state.s).packed())
+        numbers, *aim = state.p.split((NUMBERS, 2, 1), dim=-1)
+        ball, (final, steps) = Ball.unpacked(numbers), aim
+        moved = self.guide(ball, self.rolling(ball, state.s), state.s, Aim(final, steps))
+        return State(state.s, torch.cat([moved.packed(), final, steps - 1], dim=-1))
 
     def observe(self, state: State) -> Observation:
         """Observation y_t of a state."""
-        ball = Ball.unpacked(state.p)
+        ball = Ball.unpacked(state.p[..., :NUMBERS])
         positions, covariances = self.output(torch.cat([ball.centre[..., :2], ball.doubt], dim=-1))
         return Observation(positions, covariances, ANGULAR_VELOCITY_UNIT * ball.spin)
+
+    def observe_first(self, state: State) -> Observation:
+        """Observation of h_0, with the final position where a frame shows it."""
+        seen = self.observe(state)
+        if self.guide is None:
+            return seen
+        return seen._replace(final_positions=pixels(state.p[..., NUMBERS : NUMBERS + 2]))
 
     def forward(self, frames_BKHW3: Tensor, horizon: int) -> Observation:
         """Observations of the steps 0..horizon-1, and what the eye read, for its own loss."""
@@ -206,9 +306,10 @@ class FieldNet(Network):
 
     def practise(self, state: State, horizon: int) -> tuple[Tensor, Tensor]:
         """Centres [B, N, T, 3] and angular velocities [B, N, T, 3] in rad/s from a state on."""
-        balls = [Ball.unpacked(state.p)]
+        states = [state]
         for _ in range(horizon - 1):
-            balls.append(self.rolling(balls[-1], state.s))
+            states.append(self.advance(states[-1]))
+        balls = [Ball.unpacked(one.p[..., :NUMBERS]) for one in states]
         centres = torch.stack([ball.centre for ball in balls], dim=2)
         spins = torch.stack([ball.spin for ball in balls], dim=2)
         return centres, ANGULAR_VELOCITY_UNIT * spins
@@ -242,23 +343,16 @@ def true_state(
     return State(ground_B3GG.nan_to_num(), ball.packed())
 
 
-def field_family(
-    variants: Mapping[str, str],
-    frames: int,
-    objects: int,
-    *,
-    angular_velocity: bool,
-    interaction: bool = True,
-) -> Family:
+def field_family(variants: Mapping[str, str], task: Task) -> Family:
     """Make networks of the field preset (see :class:`training.models.presets.Preset`).
 
     Raises
     ------
     ValueError
-        For another variant, more than four frames, or without angular velocities, which are a part
-        of the state.
+        For another variant, or without angular velocities.
     """
-    if set(variants.values()) != {"fieldnet"} or not angular_velocity:
-        raise ValueError("the field preset makes fieldnet alone, with angular velocities")
-    members = {name: FieldNet(frames, objects, interaction=interaction) for name in variants}
-    return Family(members)
+    if set(variants.values()) != {"fieldnet"}:
+        raise ValueError(
+            f"the field preset makes fieldnet alone, not {', '.join(variants.values())}"
+        )
+    return Family({name: FieldNet(task) for name in variants})

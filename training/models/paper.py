@@ -27,6 +27,7 @@ from training.models.predictor import (
     Predictor,
     SharedStateFamily,
 )
+from training.models.task import Task
 
 VGG16 = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
 """Output channels of the convolutions between two poolings."""
@@ -136,20 +137,13 @@ HEADS: Mapping[str, Callable[[int], Head]] = {
 }
 
 
-def paper_family(
-    variants: Mapping[str, str],
-    frames: int,
-    objects: int,
-    *,
-    angular_velocity: bool,
-    interaction: bool = True,
-) -> Family:
+def paper_family(variants: Mapping[str, str], task: Task) -> Family:
     """Make a family in the paper's preset (see :class:`training.models.presets.Preset`)."""
-    channels = ALONE_CHANNELS if objects == 1 else SHARED_CHANNELS
-    encoder = VggEncoder(frames, objects, channels)
-    met = ObjectInteraction() if interaction and objects > 1 else None
+    channels = ALONE_CHANNELS if task.objects == 1 else SHARED_CHANNELS
+    encoder = VggEncoder(task.frames, task.objects, channels)
+    met = ObjectInteraction() if task.meetings else None
     transition = PlainTransition(channels, met)
-    spin = Perceptron(channels, 3) if angular_velocity else None
+    spin = Perceptron(channels, 3) if task.angular_velocity else None
     return SharedStateFamily(
         {
             name: Predictor(encoder, transition, HEADS[variant](channels), spin)

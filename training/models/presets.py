@@ -8,30 +8,19 @@ from training.models.fieldnet import field_family
 from training.models.paper import paper_family
 from training.models.predictor import Family
 from training.models.sighted import sighted_family
+from training.models.task import Task
 
 
 class Preset(Protocol):
     """Makes untrained networks, by name, of some variants: they share all but their heads."""
 
-    def __call__(
-        self,
-        variants: Mapping[str, str],
-        frames: int,
-        objects: int,
-        *,
-        angular_velocity: bool,
-        interaction: bool = True,
-    ) -> Family:
+    def __call__(self, variants: Mapping[str, str], task: Task) -> Family:
         """Make a family.
 
         Parameters
         ----------
         variants
             Variant of every network by the network's name.
-        frames
-            Frames that the encoder reads: four, and the final one for InterpNet.
-        interaction
-            Whether several balls know of each other.
         """
         ...
 

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from rollcast.trajectory import OBSERVED_FRAMES
 from training.models.blocks import (
     GRID,
     ChannelNorm,
@@ -20,7 +19,7 @@ from training.models.blocks import (
     cell_centres,
 )
 from training.models.compact import CHANNELS, composed
-from training.models.eye import Eye, full_precision
+from training.models.eye import Eye, full_precision, looked
 from training.models.fieldnet import Ball, seen_state
 from training.models.predictor import (
     Family,
@@ -29,6 +28,7 @@ from training.models.predictor import (
     SharedStateFamily,
     State,
 )
+from training.models.task import Task
 
 FOLD = 4
 """The ground's 32 x 32 cells are folded into the state's 8 x 8: so many a side go into one."""
@@ -51,10 +51,10 @@ class Spread(nn.Module):
 
     places: Tensor
 
-    def __init__(self, frames: int, channels: int) -> None:
+    def __init__(self, channels: int, *, final: bool) -> None:
         super().__init__()
         self.register_buffer("places", cell_centres(), persistent=False)
-        points = 1 if frames == OBSERVED_FRAMES else 2
+        points = 2 if final else 1
         known = 3 * FOLD**2 + 2 + 2 + 2 * 7 + points * (2 + 1)
         self.layers = nn.Sequential(
             nn.Conv2d(known, channels, 1), nn.ReLU(), nn.Conv2d(channels, channels, 1)
@@ -90,10 +90,10 @@ class Spread(nn.Module):
 class SightedEncoder(nn.Module):
     """Frames to s_0 through an eye that has been taught what to read."""
 
-    def __init__(self, frames: int, objects: int, channels: int) -> None:
+    def __init__(self, task: Task, channels: int) -> None:
         super().__init__()
-        self.eye = Eye(frames, objects)
-        self.spread = Spread(frames, channels)
+        self.eye = Eye(task.objects)
+        self.spread = Spread(channels, final=task.final_step is not None)
 
     def forward(self, frames_BKHW3: Tensor) -> Tensor:
         """Frames uint8 to s_0."""
@@ -101,11 +101,12 @@ class SightedEncoder(nn.Module):
 
     def look(self, frames_BKHW3: Tensor) -> tuple[Tensor, Reading]:
         """s_0, and what the eye read, which alone teaches it."""
-        reading: Reading = self.eye(frames_BKHW3)
-        exact = reading.seen_positions[-1].detach()
-        finals = None if exact.shape[2] == OBSERVED_FRAMES else exact[:, :, -1]
+        reading, finals = looked(self.eye, frames_BKHW3)
         state = seen_state(reading, torch.zeros_like(reading.centres))
-        return self.begin(Sight(State(state.s.detach(), state.p.detach()), finals)), reading
+        sight = Sight(
+            State(state.s.detach(), state.p.detach()), None if finals is None else finals.detach()
+        )
+        return self.begin(sight), reading
 
     def begin(self, sight: Sight) -> Tensor:
         """s_0 of what was read, or of the truth."""
@@ -193,16 +194,9 @@ class SightedFamily(SharedStateFamily):
         return self.roll_out(self.encoder.begin(sight), horizon)
 
 
-def sighted_family(
-    variants: Mapping[str, str],
-    frames: int,
-    objects: int,
-    *,
-    angular_velocity: bool,
-    interaction: bool = True,
-) -> Family:
+def sighted_family(variants: Mapping[str, str], task: Task) -> Family:
     """Make a family in the sighted preset (see :class:`training.models.presets.Preset`)."""
-    encoder = SightedEncoder(frames, objects, CHANNELS)
-    met = ObjectInteraction() if interaction and objects > 1 else None
+    encoder = SightedEncoder(task, CHANNELS)
+    met = ObjectInteraction() if task.meetings else None
     transition = AttendedTransition(CHANNELS, met)
-    return SightedFamily(composed(variants, encoder, transition, spin=angular_velocity))
+    return SightedFamily(composed(variants, encoder, transition, spin=task.angular_velocity))

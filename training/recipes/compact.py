@@ -1,0 +1,108 @@
+"""The compact preset: the paper's networks, which learn to see through their forecasts."""
+
+from dataclasses import replace
+
+from rollcast.scene import SMALL_RADIUS_M
+from training.losses import DistanceLoss, LikelihoodLoss, SpinLoss
+from training.models.task import Task
+from training.recipes.recipe import DataShare, Member, Milestone, Recipe, continued
+from training.simulate import Source
+
+ONE_BALL_DATA = (
+    DataShare(Source("hemisphere"), 1200, 0.18, 200),
+    DataShare(Source("ellipsoid"), 1800, 0.40, 200),
+    DataShare(Source("heightfield"), 1200, 0.38, 120),
+    DataShare(Source("hemisphere", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
+    DataShare(Source("ellipsoid", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
+)
+"""Three scenarios at the usual radius, and a few small balls so that the eye knows them too.
+
+Ellipsoids, of which the hemisphere is one, and heightfields are furthest from their aim.
+"""
+
+
+def one_ball() -> Recipe:
+    """PosNet, DispNet and ProbNet for one ball in all scenarios, from nothing.
+
+    The rollout's early steps weigh more: a plain mean loses their precision.
+    """
+    return Recipe(
+        name="one-ball",
+        preset="compact",
+        members=extrapolating(suffix=""),
+        spin_loss=SpinLoss(halving=8),
+        data=ONE_BALL_DATA,
+        scenarios=("hemisphere", "ellipsoid", "heightfield"),
+        task=Task(),
+        sequences=280_000,
+        curriculum=(Milestone(0.1, 2), Milestone(0.35, 10), Milestone(0.65, 20)),
+    )
+
+
+def one_ball_continued() -> Recipe:
+    """Train the same from weights that already forecast (``--init``)."""
+    return replace(
+        continued(one_ball()), name="one-ball-continued", sequences=144_000, learning_rate=4e-4
+    )
+
+
+def one_ball_annealed() -> Recipe:
+    """Let weights that already forecast settle: a short, slow last stretch (``--init``)."""
+    return replace(
+        one_ball_continued(),
+        name="one-ball-annealed",
+        sequences=27_200,
+        learning_rate=2e-4,
+        average_decay=0.995,
+    )
+
+
+def one_ball_between() -> Recipe:
+    """InterpNet for one ball in all scenarios; it sees step 39."""
+    return replace(
+        one_ball(),
+        name="one-ball-between",
+        members=(interpolating(suffix=""),),
+        sequences=200_000,
+        curriculum=(Milestone(0.0, 10), Milestone(0.3, 20), Milestone(0.6, 40)),
+        task=Task(final_step=39),
+    )
+
+
+def several_balls(objects: int) -> Recipe:
+    """PosNet, DispNet and ProbNet for two or three balls in ellipsoidal bowls."""
+    return replace(
+        one_ball(),
+        name=f"{objects}-balls",
+        members=extrapolating(suffix=f"-{objects}"),
+        data=(DataShare(Source("ellipsoid", objects), 1500, 1.0, 200),),
+        scenarios=("ellipsoid",),
+        task=Task(objects),
+        sequences=200_000,
+        curriculum=(Milestone(0.1, 2), Milestone(0.3, 8), Milestone(0.6, 15)),
+    )
+
+
+def several_balls_between(objects: int) -> Recipe:
+    """InterpNet for two or three balls; it sees step 29."""
+    return replace(
+        several_balls(objects),
+        name=f"{objects}-balls-between",
+        members=(interpolating(suffix=f"-{objects}"),),
+        curriculum=(Milestone(0.0, 8), Milestone(0.3, 15), Milestone(0.6, 30)),
+        task=Task(objects, final_step=29),
+    )
+
+
+def extrapolating(suffix: str) -> tuple[Member, ...]:
+    """Networks that see four frames; the suffix tells their exported models apart."""
+    return (
+        Member(f"posnet{suffix}", "posnet", DistanceLoss(halving=8)),
+        Member(f"dispnet{suffix}", "dispnet", DistanceLoss(halving=8), weight=0.5),
+        Member(f"probnet{suffix}", "probnet", LikelihoodLoss(halving=8)),
+    )
+
+
+def interpolating(suffix: str) -> Member:
+    """Return the network that sees the final frame too; its hardest steps are in the middle."""
+    return Member(f"interpnet{suffix}", "interpnet", DistanceLoss(halving=40))

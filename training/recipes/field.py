@@ -1,0 +1,142 @@
+"""FieldNet: an eye that is taught directly, and balls with an explicit state."""
+
+from dataclasses import replace
+
+from rollcast.scene import SMALL_RADIUS_M
+from training.losses import (
+    DistanceLoss,
+    DoubtLoss,
+    LikelihoodLoss,
+    MotionLoss,
+    ReadingLoss,
+    SpinLoss,
+)
+from training.models.task import Task
+from training.recipes.recipe import DataShare, Explicit, Member, Milestone, Recipe, continued
+from training.simulate import Source
+
+FIELD_DATA = (
+    DataShare(Source("hemisphere"), 2000, 0.14, 200),
+    DataShare(Source("ellipsoid"), 4000, 0.36, 200),
+    DataShare(Source("heightfield"), 3000, 0.46, 140),
+    DataShare(Source("hemisphere", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
+    DataShare(Source("ellipsoid", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
+)
+"""The same with more scenes: what limits an explicit state is the eye."""
+
+
+def field_one_ball() -> Recipe:
+    """FieldNet for one ball in all scenarios, from nothing: eye and motion first, then both."""
+    return Recipe(
+        name="field-one-ball",
+        preset="field",
+        members=(_explicit("fieldnet", halving=8),),
+        spin_loss=SpinLoss(halving=8),
+        data=FIELD_DATA,
+        scenarios=("hemisphere", "ellipsoid", "heightfield"),
+        task=Task(),
+        sequences=320_000,
+        curriculum=(Milestone(0.3, 1), Milestone(0.5, 20), Milestone(0.7, 20), Milestone(0.9, 40)),
+        explicit=Explicit(
+            ReadingLoss(),
+            MotionLoss(halving=8),
+            practice=128,
+            curriculum=(Milestone(0, 2), Milestone(0.3, 20)),
+        ),
+        learning_rate=1.5e-3,
+    )
+
+
+def field_one_ball_continued() -> Recipe:
+    """Train the same from weights that already see (``--init``)."""
+    return replace(
+        continued(field_one_ball()), name="field-one-ball-continued", sequences=128_000, seed=4
+    )
+
+
+def field_one_ball_rolling() -> Recipe:
+    """Train the motion alone, over what a taught eye reads (``--init``).
+
+    Slowly, all batches alike, and not to T_gen: beyond some 30 steps on heightfields the gradients
+    throw it off.
+    """
+    recipe = field_one_ball()
+    assert recipe.explicit is not None
+    horizons = (Milestone(0, 20), Milestone(0.3, 26))
+    return replace(
+        recipe,
+        name="field-one-ball-rolling",
+        sequences=96_000,
+        curriculum=horizons,
+        explicit=replace(recipe.explicit, reading=None, practice=64, curriculum=horizons),
+        learning_rate=3e-4,
+        gradient_clip=0.5,
+        average_decay=0.995,
+        seed=5,
+    )
+
+
+def field_several_balls(objects: int) -> Recipe:
+    """FieldNet for two or three balls in ellipsoidal bowls, from one ball's (``--init``).
+
+    Encounters are new to it, so it practises them while the eye learns to tell the balls apart.
+    """
+    fresh = field_one_ball()
+    assert fresh.explicit is not None
+    practice = replace(
+        fresh.explicit, curriculum=(Milestone(0, 2), Milestone(0.4, 15)), motion_rate=0.3
+    )
+    return replace(
+        fresh,
+        name=f"field-{objects}-balls",
+        members=(_explicit(f"fieldnet-{objects}", halving=8),),
+        # Three balls take a second of simulation a scene.
+        data=(DataShare(Source("ellipsoid", objects), 2000 if objects == 2 else 1200, 1.0, 200),),
+        scenarios=("ellipsoid",),
+        task=Task(objects),
+        sequences=144_000,
+        curriculum=(Milestone(0.5, 1), Milestone(0.6, 15), Milestone(0.8, 30)),
+        explicit=practice,
+    )
+
+
+def field_one_ball_between() -> Recipe:
+    """FieldNet that sees the final frame: its guide learns, over a taught network (``--init``)."""
+    return _between(field_one_ball(), "field-one-ball-between", "fieldnet-between", final_step=39)
+
+
+def field_several_balls_between(objects: int) -> Recipe:
+    """FieldNet for two or three balls that sees the final frame (``--init``)."""
+    name, member = f"field-{objects}-balls-between", f"fieldnet-{objects}-between"
+    return _between(field_several_balls(objects), name, member, final_step=29)
+
+
+def _between(recipe: Recipe, name: str, member: str, final_step: int) -> Recipe:
+    """Return a recipe for the guide; what it is sure of, it bends most in the middle."""
+    assert recipe.explicit is not None
+    all_steps = (Milestone(0, final_step + 1),)
+    return replace(
+        recipe,
+        name=name,
+        members=(_explicit(member, halving=final_step),),
+        task=replace(recipe.task, final_step=final_step),
+        sequences=64_000,
+        curriculum=all_steps,
+        explicit=replace(
+            recipe.explicit,
+            reading=None,
+            motion=MotionLoss(halving=final_step),
+            practice=64,
+            curriculum=all_steps,
+            motion_rate=0.1,
+        ),
+        learning_rate=1e-3,
+        gradient_clip=0.5,
+        average_decay=0.995,
+    )
+
+
+def _explicit(name: str, halving: float) -> Member:
+    """Return the network with an explicit state, which also says how sure it is."""
+    distance, likelihood = DistanceLoss(halving, rounding=0.1), LikelihoodLoss(halving)
+    return Member(name, "fieldnet", DoubtLoss(distance, likelihood, weight=0.2))

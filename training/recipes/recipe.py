@@ -1,0 +1,172 @@
+"""What a training run is determined by."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+
+from rollcast.scene import Scenario
+from training.losses import Loss, MotionLoss, ReadingLoss, SpinLoss
+from training.models.predictor import Family
+from training.models.presets import PRESETS
+from training.models.task import Task
+from training.schedules import Cosine, Schedule
+from training.simulate import Source
+
+
+@dataclass(frozen=True)
+class DataShare:
+    """A source of training scenes.
+
+    Attributes
+    ----------
+    scenes
+        Simulated scenes of the training split.
+    share
+        Part of every batch, relative to the other sources'.
+    latest_start
+        Last frame of a simulation at which a training window may begin.
+    """
+
+    source: Source
+    scenes: int
+    share: float
+    latest_start: int
+
+
+@dataclass(frozen=True)
+class Milestone:
+    """When a share ``spent`` of the budget is gone, train on forecasts of ``horizon`` steps.
+
+    Between milestones the horizon grows step by step: a jump from 10 to 20 destroyed a network
+    that stood at 3 px (docs/experiments.md).
+    """
+
+    spent: float
+    horizon: int
+
+
+def adamw(groups: Iterable[dict[str, Any]], rate: float) -> torch.optim.Optimizer:
+    """Make AdamW; its second moment has to follow gradients that grow with the horizon."""
+    return torch.optim.AdamW(groups, rate, betas=(0.9, 0.95), weight_decay=0.01)
+
+
+@dataclass(frozen=True)
+class Member:
+    """One of the networks that a recipe trains, and the name of its exported model."""
+
+    name: str
+    variant: str
+    loss: Loss
+    weight: float = 1.0
+    """Of its loss among the members'."""
+
+
+@dataclass(frozen=True)
+class Explicit:
+    """What trains a network with an eye besides its forecasts.
+
+    Attributes
+    ----------
+    reading
+        Loss of what the eye reads of the frames; None leaves a taught eye as it is.
+    motion
+        Loss of balls that are moved from their true states over the true ground, so that motion is
+        learned while the eye cannot see yet; None judges them as forecasts are.
+    practice
+        Such windows beside every batch; they cost no rendering.
+    curriculum
+        Horizons of the practice.
+    motion_rate
+        Learning rate of what moves explicit balls, relative to everything else's: trained motion is
+        thrown off by the rate that an eye needs.
+    blind
+        Share of the budget in which there is practice alone.
+    """
+
+    reading: ReadingLoss | None
+    motion: MotionLoss | None
+    practice: int
+    curriculum: tuple[Milestone, ...]
+    motion_rate: float = 1.0
+    blind: float = 0.0
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that determines a training run.
+
+    Attributes
+    ----------
+    preset
+        Name in PRESETS.
+    members
+        Networks that share encoder, transition and spin read-out, trained together.
+    sequences
+        Budget.
+    """
+
+    name: str
+    preset: str
+    members: tuple[Member, ...]
+    spin_loss: SpinLoss
+    data: tuple[DataShare, ...]
+    scenarios: tuple[Scenario, ...]
+    task: Task
+    sequences: int
+    curriculum: tuple[Milestone, ...]
+    batch_size: int = 32
+    learning_rate: float = 1e-3
+    optimiser: Callable[[Iterable[dict[str, Any]], float], torch.optim.Optimizer] = adamw
+    schedule: Callable[[], Schedule] = Cosine
+    heads_alone: float = 0.0
+    """Share of the budget in which only the heads learn: fresh heads would spoil what is shared."""
+    gradient_clip: float = 2.0
+    """Longest gradient, in multiples of the usual length: one batch cannot throw a rollout off."""
+    average_decay: float = 0.999
+    """Of the exponential moving average of the weights, which is what gets evaluated."""
+    validation_scenes: int = 100
+    seed: int = 1
+
+    explicit: Explicit | None = None
+    """For networks with an explicit state."""
+
+    def build(self) -> Family:
+        """Make the untrained networks."""
+        variants = {member.name: member.variant for member in self.members}
+        return PRESETS[self.preset](variants, self.task)
+
+    @property
+    def trained_horizon(self) -> int:
+        """T_train."""
+        return self.curriculum[-1].horizon
+
+    def member(self, name: str) -> Member:
+        """Return the member that is exported as ``name``."""
+        return next(member for member in self.members if member.name == name)
+
+
+def continued(recipe: Recipe) -> Recipe:
+    """Train from weights that already forecast.
+
+    A convolutional state stays at its last horizon. An explicit one begins with its eye alone
+    again: gradients through a rollout on heightfields are heavy-tailed, and dear.
+    """
+    longest = recipe.trained_horizon
+    explicit = recipe.explicit
+    if explicit is None or explicit.reading is None:
+        whole = (Milestone(0, longest),)
+        if explicit is not None:
+            explicit = replace(explicit, curriculum=whole, blind=min(explicit.blind, 0.5))
+        return replace(recipe, curriculum=whole, explicit=explicit)
+    return replace(
+        recipe,
+        curriculum=(Milestone(0.7, 1), Milestone(0.75, longest // 2), Milestone(0.88, longest)),
+        explicit=replace(
+            explicit,
+            practice=64,
+            curriculum=(Milestone(0, longest // 2),),
+            motion_rate=0.1,
+        ),
+    )
