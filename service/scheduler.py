@@ -184,8 +184,8 @@ class Scheduler:
         self._waiting: deque[_Member[Any]] = deque()
         self._rollouts: dict[Predictor, _Rollout] = {}
         self._ended: deque[_Member[Any]] = deque()
-        self._idle = 0
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
+        self._resting: list[threading.Semaphore] = []
         self._threads = [
             threading.Thread(target=self._work, name=f"forecast-{index}")
             for index in range(threads)
@@ -209,9 +209,9 @@ class Scheduler:
         self._places.take()
         future: Future[T] = Future()
         future.add_done_callback(self._release)
-        with self._changed:
+        with self._lock:
             self._waiting.append(_Member(job, patience, future))
-            self._changed.notify()
+            self._wake(1)
         return future
 
     def _release(self, _: Future[T]) -> None:
@@ -219,27 +219,33 @@ class Scheduler:
 
     def close(self) -> None:
         """Let rollouts end, drop what waits."""
-        with self._changed:
+        with self._lock:
             self._closed = True
             dropped, self._waiting = self._waiting, deque()
-            self._changed.notify_all()
+            self._wake(len(self._threads))
         for member in dropped:
             member.future.cancel()
         for thread in self._threads:
             thread.join()
 
-    def _work(self) -> None:
-        while (act := self._next()) is not None:
-            act()
+    def _wake(self, threads: int) -> None:
+        """Wake threads that rest, under the lock; the last to rest first: its caches are warm."""
+        for _ in range(min(threads, len(self._resting))):
+            self._resting.pop().release()
 
-    def _next(self) -> Callable[[], None] | None:
-        """Wait for something to do; None when the scheduler is closed."""
-        with self._changed:
-            while (act := self._choose()) is None and not self._closed:
-                self._idle += 1
-                self._changed.wait()
-                self._idle -= 1
-            return act
+    def _work(self) -> None:
+        awake = threading.Semaphore(0)
+        while True:
+            with self._lock:
+                act = self._choose()
+                if act is None:
+                    if self._closed:
+                        return
+                    self._resting.append(awake)
+            if act is None:
+                awake.acquire()
+            else:
+                act()
 
     def _choose(self) -> Callable[[], None] | None:
         """Choose what to do next, under the lock."""
@@ -265,25 +271,32 @@ class Scheduler:
             member.finish()
             return
         predictor, first, _ = begun[0]
-        with self._changed:
+        with self._lock:
             rollout = self._rollouts.setdefault(predictor, _Rollout(predictor))
             rollout.arrivals.append((member, first.state))
 
     def _lead(self, rollout: _Rollout) -> None:
-        """Step a rollout until nobody is left in it."""
+        """Step a rollout until nobody is left in it, or nobody else can write its answers."""
         while True:
-            with self._changed:
+            with self._lock:
                 arrived, rollout.arrivals = rollout.arrivals, []
                 rollout.join(arrived)
                 if not rollout.members:
                     del self._rollouts[rollout.predictor]
                     return
-                if self._ended and not self._idle:
-                    rollout.led = False
-                    return
             self._batches(rollout.predictor, rollout.rows)
             ended = rollout.advance()
-            if ended:
-                with self._changed:
-                    self._ended.extend(ended)
-                    self._changed.notify(len(ended))
+            if ended and not self._hand_over(rollout, ended):
+                return
+
+    def _hand_over(self, rollout: _Rollout, ended: list[_Member[Any]]) -> bool:
+        """Leave answers to threads that rest; return whether the rollout is still to be led."""
+        with self._lock:
+            self._ended.extend(ended)
+            if self._resting and (rollout.members or rollout.arrivals):
+                self._wake(len(ended))
+                return True
+            # Who leads no more writes an answer next.
+            rollout.led = False
+            self._wake(len(ended) - 1)
+            return False

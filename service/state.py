@@ -75,7 +75,7 @@ class State:
             raise NotReadyError(f"The service is {self.phase}.")
 
 
-def _state(request: Request) -> State:
+async def _state(request: Request) -> State:
     return request.app.state.service
 
 
