@@ -8,6 +8,8 @@ UV_VERSION := 0.13.9
 
 # Tests in these folders run where torch cannot be imported; all others run in .venv/test.
 TORCH_FREE_TESTS := $(wildcard tests/service tests/contract)
+# Other people's clients have an environment of their own.
+PROTOCOL_TESTS := tests/protocol
 
 export PYTHON
 export TORCH_INSTALL_ARGS
@@ -40,9 +42,10 @@ serve:
 	@exec .venv/service/bin/python -m service --host 127.0.0.1 --port $(PORT)
 
 test: environments lint
-	$(call step,tests,$(BIN)/python -m pytest tests $(TORCH_FREE_TESTS:%=--ignore=%) $(PYTEST_ARGS))
+	$(call step,tests,$(BIN)/python -m pytest tests $(TORCH_FREE_TESTS:%=--ignore=%) $(PROTOCOL_TESTS:%=--ignore=%) $(PYTEST_ARGS))
 	$(call step,no torch in the service environment,! .venv/service/bin/python -c 'import torch' 2>/dev/null)
 	$(call step,tests without torch,.venv/service-test/bin/python -m pytest $(or $(TORCH_FREE_TESTS),tests/service) $(PYTEST_ARGS))
+	$(call step,clients of the protocol,.venv/protocol/bin/python -m pytest $(PROTOCOL_TESTS) $(PYTEST_ARGS))
 	@echo 'rollcast: every check and test passed'
 
 bench:
@@ -66,6 +69,7 @@ environments:
 	@tools/environment.sh test --torch
 	@tools/environment.sh service
 	@tools/environment.sh service-test
+	@tools/environment.sh protocol
 
 # The lock of the tests holds every package; the others take their versions from it.
 UV_COMPILE = .venv/lock/bin/uv pip compile pyproject.toml --quiet --universal --python-version 3.11 \
@@ -82,6 +86,7 @@ lock:
 		--output-file requirements/service-test.txt
 	$(UV_COMPILE) --extra bench --constraint requirements/test.txt \
 		--output-file requirements/bench.txt
+	$(UV_COMPILE:pyproject.toml=) --group pyproject.toml:protocol --output-file requirements/protocol.txt
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist *.egg-info

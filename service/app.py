@@ -78,6 +78,14 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
         description="Forecasts where rolling balls go from four video frames.",
         lifespan=lifespan,
         redoc_url=None,
+        # Figures and logs have homes of their own.
+        telemetry={
+            "auto_configure": settings.traces,
+            "tracing": settings.traces,
+            "metrics": False,
+            "logs": False,
+            "operation_spans": False,
+        },
     )
     install_problem_handlers(app)
     install_openapi(app)

@@ -1,6 +1,5 @@
 """One prediction request answered, whole or step by step: decode, choose, roll out, report."""
 
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -13,7 +12,6 @@ from rollcast.http import (
     ModelReference,
     PredictRequest,
     PredictResponse,
-    PredictTiming,
     StreamBall,
     StreamDone,
     StreamObject,
@@ -27,6 +25,7 @@ from service.metrics import Metrics
 from service.registry import Registry, Wish
 from service.rollout import Forecast, Outputs, assemble, stacked
 from service.scheduler import Begun
+from service.stages import Stages
 
 RATE_TOLERANCE = 0.05
 """Relative difference of frame rates beyond which the answer carries a warning."""
@@ -49,10 +48,9 @@ class _Forecast:
     ) -> None:
         self._parse = parse
         self._registry = registry
-        self._metrics = metrics
+        self._stages = Stages(metrics)
         self._side = 0
         self._horizon = 0
-        self._moments = (0.0, 0.0, 0.0)
 
     def begin(self) -> Begun:
         """Choose the model, decode the frames and encode them.
@@ -63,16 +61,16 @@ class _Forecast:
             When the request cannot be served.
         """
         self.request = request = self._parse()
-        started = time.perf_counter()
+        self._stages.next()
         final_frame = request.final_frame is not None
         wish = Wish(request.model, request.objects, request.scenario, final_frame)
         predictor = self._registry.choose(wish)
         self.manifest = predictor.manifest
         self._horizon = _horizon(request, predictor.manifest)
         frames, self._side = _decode(request)
-        decoded = time.perf_counter()
+        self._stages.next()
         first = predictor.encode(frames[None])
-        self._moments = (started, decoded, time.perf_counter())
+        self._stages.next()
         return Begun(predictor, first, self._horizon)
 
     def forecast(self, outputs: Outputs, first_step: int) -> Forecast:
@@ -84,8 +82,7 @@ class _Forecast:
     def summary(self, final_positions: np.ndarray | None) -> ForecastSummary:
         """Tell all that is no step; called at the end, for it takes the time."""
         manifest = self.manifest
-        taken = timing(*self._moments)
-        self._metrics.forecast(manifest.label, taken)
+        taken = self._stages.end(manifest.label)
         return ForecastSummary(
             model=ModelReference(
                 name=manifest.name,
@@ -192,17 +189,6 @@ class StreamedForecast(_Forecast):
                 ],
             )
         )
-
-
-def timing(started: float, decoded: float, encoded: float) -> PredictTiming:
-    """Return the time of every stage of a rollout that has just ended, from its moments."""
-    now = time.perf_counter()
-    return PredictTiming(
-        decode=1e3 * (decoded - started),
-        encode=1e3 * (encoded - decoded),
-        rollout=1e3 * (now - encoded),
-        total=1e3 * (now - started),
-    )
 
 
 def _horizon(request: PredictRequest, manifest: Manifest) -> int:

@@ -109,6 +109,8 @@ class InferRequest(RequestBody):
 
     id: str | None = None
     """Returned as it came."""
+    model_name: str | None = None
+    """What KServe's client adds to the protocol: the name that the path has."""
     parameters: InferParameters | None = None
     inputs: Items[InferInput]
     """``frames``, and ``horizon`` if it shall not be the model's own."""

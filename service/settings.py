@@ -20,6 +20,9 @@ FILE_VARIABLE = "ROLLCAST_SETTINGS_FILE"
 OTHER_VARIABLES = frozenset({FILE_VARIABLE, "ROLLCAST_RUNS"})
 """The file's own, and those that the training reads: they may stand in the same environment."""
 
+TRACE_RECEIVERS = {"OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT"}
+"""Variables of OpenTelemetry that say where traces go."""
+
 MEBI = 2**20
 
 
@@ -75,6 +78,10 @@ class Settings(BaseSettings):
     log_format: Literal["json", "text"] = "json"
     """Log lines as JSON objects, or as text for people."""
 
+    traces: bool = False
+    """Whether requests are traced; OTEL_EXPORTER_OTLP_ENDPOINT, a variable of OpenTelemetry's as
+    there are others, says where the spans go."""
+
     @classmethod
     def settings_customise_sources(
         cls,
@@ -89,6 +96,13 @@ class Settings(BaseSettings):
         if path is None:
             return init_settings, env_settings
         return init_settings, env_settings, TomlConfigSettingsSource(settings_cls, _file(path))
+
+    @model_validator(mode="after")
+    def _know_where_traces_go(self) -> "Settings":
+        os.environ.setdefault("OTEL_SERVICE_NAME", "rollcast")
+        if self.traces and not TRACE_RECEIVERS & os.environ.keys():
+            raise ValueError(f"traces need one of {sorted(TRACE_RECEIVERS)}: where they go")
+        return self
 
     @model_validator(mode="after")
     def _know_every_variable(self) -> "Settings":

@@ -126,6 +126,9 @@ def read_query(
     InvalidValueError
         With the field at fault.
     """
+    if request.model_name not in (None, manifest.name):
+        expected = f"{manifest.name}, the name in the path, or none"
+        raise InvalidValueError.at("model_name", request.model_name, expected)
     outputs = _wanted(request, manifest)
     tensors = _read_tensors(request.inputs, binary, inputs_of(manifest), max_batch)
     if FRAMES_INPUT not in tensors:
@@ -260,13 +263,20 @@ def _from_json(given: InferInput, field: str) -> np.ndarray:
     limits = np.iinfo(dtype)
     expected = f"whole numbers, {limits.min} to {limits.max}"
     if set(map(type, numbers)) != {int}:
-        wrong = next(number for number in numbers if type(number) is not int)
-        raise InvalidValueError.at(field, wrong, expected)
+        wrong = next((number for number in numbers if not _is_whole(number)), None)
+        if wrong is not None:
+            raise InvalidValueError.at(field, wrong, expected)
+        numbers = list(map(int, numbers))
     try:
         return np.array(numbers, dtype).reshape(given.shape)
     except OverflowError as error:
         wrong = next(number for number in numbers if not limits.min <= number <= limits.max)
         raise InvalidValueError.at(field, wrong, expected) from error
+
+
+def _is_whole(number: object) -> bool:
+    """Tell whether it is a whole number; some clients make every number a float."""
+    return type(number) is int or (type(number) is float and number.is_integer())
 
 
 def _flattened(data: list[Any], shape: Sequence[int]) -> list[Any] | None:

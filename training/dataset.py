@@ -75,6 +75,8 @@ class Batch(TypedDict):
     """The fields of :class:`Scenery`."""
     practice: NotRequired["Batch"]
     """More windows without frames."""
+    state: NotRequired[tuple[torch.Tensor, torch.Tensor]]
+    """What was read of the frames, in their place: s_0 and p_0."""
 
 
 @dataclass(frozen=True)

@@ -18,16 +18,19 @@ from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.dataset import Batch, TrainingStream, Window, compared_horizon, fixed_windows
 from training.losses import final_loss
 from training.metrics import forecast
-from training.models.eye import Eye
 from training.models.fieldnet import FieldNet, true_state
-from training.models.predictor import Family, Network, Observation, in_float32
+from training.models.predictor import Family, Network, Observation, State, in_float32
 from training.models.sighted import Sight, SightedFamily
+from training.readings import read_windows, rehearsed
 from training.recipes.recipe import Milestone, Recipe
 from training.simulate import Source, load_recordings, simulate_split
 from training.survey import survey
 
 CHECKPOINT = "checkpoint.pt"
 BEST = "best.pt"
+READINGS = "readings.pt"
+READ_TOGETHER = 32
+"""Windows that are read at once to be rehearsed."""
 OF_EVERY_BALL = ("encoder.", "eye.first.where.")
 """Parameters whose outputs there are of every ball."""
 USUAL_GRADIENT_MEMORY = 0.99
@@ -37,9 +40,9 @@ SHARED_WARM_UP = 0.02
 
 @dataclass(frozen=True)
 class Pace:
-    """How often things happen, in sequences, and how many processes serve the training."""
+    """How often things happen, in batches, and how many processes serve the training."""
 
-    validate_every: int = 16_000
+    validate_every: int = 500
     checkpoint_seconds: float = 120
     workers: int = 1
     """Processes that render training batches."""
@@ -86,10 +89,9 @@ class Trainer:
             for name in [trained.name] if trained.name in members else members:
                 load_fitting(members[name], trained.parameters)
         self._earlier_sequences = initial[0].sequences if initial else 0
-        if recipe.explicit is not None and recipe.explicit.reading is None:
-            for module in self.family.modules():
-                if isinstance(module, Eye):
-                    module.requires_grad_(requires_grad=False)
+        for network in self.family.networks().values():
+            for name, parameter in network.named_parameters():
+                parameter.requires_grad_(not name.startswith(recipe.taught))
         # torch's own annotations leave memory_format out.
         self.family.to(self.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self._average = torch.optim.swa_utils.AveragedModel(
@@ -114,7 +116,10 @@ class Trainer:
         ]
         known = {id(parameter) for parameter in [*shared, *motion]}
         rest = [p for p in self.family.parameters() if id(p) not in known]
-        return [{"params": shared}, {"params": motion}, {"params": rest}]
+        return [
+            {"params": [parameter for parameter in group if parameter.requires_grad]}
+            for group in (shared, motion, rest)
+        ]
 
     @property
     def sequences(self) -> int:
@@ -141,9 +146,8 @@ class Trainer:
             if self.batches % 20 == 0:
                 progress.set_postfix(loss=f"{loss:.2f}", best=f"{self._best_error:.2f} px")
                 events.add_scalar("training/loss", loss, self.sequences)
-            every = self._pace.validate_every // recipe.batch_size
             ended = self.batches == total or self._schedule.finished
-            if self.batches % every == 0 or ended:
+            if self.batches % self._pace.validate_every == 0 or ended:
                 self._validate(windows, events)
             if time.monotonic() - self._checkpoint_time > self._pace.checkpoint_seconds:
                 self._save_checkpoint()
@@ -152,6 +156,17 @@ class Trainer:
         return self._best_error
 
     def _stream(self) -> Iterator[Batch]:
+        """Return the batches from the next one on: seen anew, or drawn from readings."""
+        recipe = self.recipe
+        if not recipe.rehearsal:
+            return self._fresh(recipe.batch_size, self.batches)
+        path = self.folder / READINGS
+        if not path.exists():
+            (network,) = self.family.networks().values()
+            read_windows(network, self._fresh(READ_TOGETHER, 0), recipe.rehearsal, path)
+        return rehearsed(path, recipe.batch_size, recipe.seed, self.batches)
+
+    def _fresh(self, batch_size: int, first_batch: int) -> Iterator[Batch]:
         recipe = self.recipe
         simulators, explicit = self._pace.simulators, recipe.explicit
         shards = [
@@ -162,9 +177,9 @@ class Trainer:
             [part.share for part in recipe.data],
             [part.latest_start for part in recipe.data],
             recipe.task.final_step,
-            recipe.batch_size,
+            batch_size,
             recipe.seed,
-            first_batch=self.batches,
+            first_batch=first_batch,
             surveys=[survey(of_source, simulators) for of_source in shards],
             practice=explicit.practice if explicit else 0,
             blind=math.ceil(explicit.blind * self._batches_in_all) if explicit else 0,
@@ -193,7 +208,7 @@ class Trainer:
         if explicit is not None and spent < explicit.blind:
             loss = self._practice_loss(batch, horizon)
         else:
-            forecasts = self._autocast_forecasts(batch["frames"].to(self.device), horizon)
+            forecasts = self._forecasts(batch, horizon)
             loss = self._forecast_loss(forecasts, batch, horizon)
             loss = loss + self._reading_loss(forecasts, batch)
         if explicit is not None:
@@ -246,10 +261,10 @@ class Trainer:
         centres, ground, measures = self._scenery(batch)
         spins = batch["angular_velocities"][:, :, :horizon].to(self.device)
         start = true_state(centres[:, :, :OBSERVED_FRAMES], spins[:, :, 0], ground, measures)
-        final = None
-        if recipe.task.final_step is not None:
-            final = centres[:, :, FIRST_FORECAST_FRAME + recipe.task.final_step, :2]
         if isinstance(self.family, SightedFamily):
+            final = None
+            if recipe.task.final_step is not None:
+                final = centres[:, :, FIRST_FORECAST_FRAME + recipe.task.final_step, :2]
             with torch.autocast(self.device.type, torch.bfloat16):
                 made = self.family.practise(Sight(start, final), horizon)
             return self._forecast_loss(_all_in_float32(made), batch, horizon)
@@ -258,7 +273,7 @@ class Trainer:
         truth = centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
         for network in self.family.networks().values():
             assert isinstance(network, FieldNet)
-            moved, turned = network.practise(network.aimed(start, final), horizon)
+            moved, turned = network.practise(start, horizon)
             turning = Observation(moved[..., :2], None, turned)
             loss = loss + explicit.motion(moved, truth) + recipe.spin_loss(turning, spins)
         return loss
@@ -283,9 +298,14 @@ class Trainer:
         memory = min(USUAL_GRADIENT_MEMORY, self.batches / (self.batches + 1))
         self._usual_gradient = usual**memory * norm ** (1 - memory)
 
-    def _autocast_forecasts(self, frames: torch.Tensor, horizon: int) -> dict[str, Observation]:
+    def _forecasts(self, batch: Batch, horizon: int) -> dict[str, Observation]:
+        """Return every member's forecasts of a batch's frames, or of what was read of them."""
+        if "state" in batch:
+            state = State(*(part.to(self.device) for part in batch["state"]))
+            networks = self.family.networks()
+            return {name: network.roll_out(state, horizon) for name, network in networks.items()}
         with torch.autocast(self.device.type, torch.bfloat16):
-            return _all_in_float32(self.family(frames, horizon))
+            return _all_in_float32(self.family(batch["frames"].to(self.device), horizon))
 
     def _validate(self, windows: dict[Source, list[Window]], events: SummaryWriter) -> None:
         """Measure the averaged weights and keep them when their mean error is the best."""

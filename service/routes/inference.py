@@ -1,13 +1,11 @@
 """``/v2``: the Open Inference Protocol over REST, with the binary tensor extension."""
 
-import time
 from functools import partial
 
 from fastapi import APIRouter, Request, Response, status
 
 from rollcast.http import API_VERSION
 from service.bodies import JSON, parse_json, read_body
-from service.forecasts import timing
 from service.openapi import errors_of, tensors_of
 from service.problems import PROTOCOL_PATH
 from service.protocol import (
@@ -21,6 +19,7 @@ from service.protocol import (
 )
 from service.rollout import Outputs, Predictor, assemble, stacked
 from service.scheduler import Begun
+from service.stages import Stages
 from service.state import ServiceState, State
 from service.tensors import (
     LENGTH_HEADER,
@@ -180,7 +179,6 @@ class Batch:
     """A batch of forecasts on its way through the scheduler."""
 
     _query: Query
-    _moments: tuple[float, float, float]
 
     def __init__(
         self, body: bytes, length: str | None, predictor: Predictor, service: State
@@ -189,18 +187,19 @@ class Batch:
         self._length = length
         self._predictor = predictor
         self._service = service
+        self._stages = Stages(service.metrics)
         self._steps: list[Outputs] = []
 
     def begin(self) -> Begun:
         """Parse the body and encode the frames."""
-        started = time.perf_counter()
+        self._stages.next()
         text, binary = split(self._body, self._length)
         request = parse_json(text, InferRequest)
         most = self._service.settings.max_batch
         self._query = read_query(request, binary, self._predictor.manifest, most)
-        decoded = time.perf_counter()
+        self._stages.next()
         first = self._predictor.encode(self._query.frames)
-        self._moments = (started, decoded, time.perf_counter())
+        self._stages.next()
         return Begun(self._predictor, first, self._query.horizon)
 
     def step(self, index: int, outputs: Outputs) -> None:  # noqa: ARG002
@@ -210,6 +209,6 @@ class Batch:
     def finish(self) -> Message:
         """Write the answer."""
         manifest = self._predictor.manifest
-        self._service.metrics.forecast(manifest.label, timing(*self._moments))
+        self._stages.end(manifest.label)
         forecast = assemble(stacked(self._steps), manifest.covariance)
         return write_answer(self._query, manifest, forecast)

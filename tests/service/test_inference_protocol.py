@@ -246,6 +246,16 @@ def test_a_variance_scale_is_applied(start):
     np.testing.assert_array_equal(covariances[0, 0, :, 0, 0], [1, 4, 4])
 
 
+def test_what_other_clients_add_changes_nothing(client):
+    """KServe's names the model once more, a generated one makes every number a float."""
+    plain = outputs_of(infer(client, as_json()))
+    for request in (as_json(model_name="dot"), as_json(ONE.astype(np.float32))):
+        for described in request["json"]["inputs"]:
+            described["datatype"] = described["datatype"].replace("FP32", "UINT8")
+        found = outputs_of(infer(client, request))
+        np.testing.assert_array_equal(found["positions"], plain["positions"])
+
+
 def test_a_final_frame_fixes_the_horizon(client):
     by_default = outputs_of(infer(client, as_binary(FINAL, None), "between"))
     assert by_default["positions"].shape == (1, 1, 10, 2)
@@ -307,6 +317,10 @@ REFUSED = {
     "2^64": (with_horizon(str(2**64)), f"inputs[1].data is {2**64}, expected whole numbers"),
     "five thousand digits": (with_horizon("1" * 5000), "The body is not JSON"),
     "half a step": (with_horizon("1.5"), "inputs[1].data is 1.5, expected whole numbers"),
+    "another name": (
+        as_json(model_name="line"),
+        "model_name is line, expected dot, the name in the path",
+    ),
     "true": (with_horizon("true"), "inputs[1].data is true, expected whole numbers"),
     "in words": (with_horizon('"40"'), "inputs[1].data is 40, expected whole numbers"),
     "two horizons": (with_horizon("1, 2"), "inputs[1].data is [1, 2], expected 1 numbers"),

@@ -68,3 +68,10 @@ def test_every_setting_is_told_with_its_default():
     text = described()
     assert "ROLLCAST_RETRY_AFTER_S (default 1)\n    Seconds after which" in text
     assert text.count("(default ") == len(Settings.model_fields)
+
+
+def test_traces_have_to_go_somewhere(monkeypatch):
+    with pytest.raises(ValidationError, match=r"traces need one of .*OTEL_EXPORTER_OTLP_ENDPOINT"):
+        Settings(traces=True)
+    monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", "http://127.0.0.1:4318")
+    assert Settings(traces=True).traces

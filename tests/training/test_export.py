@@ -12,7 +12,8 @@ from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, STEP_FILE, Manifest
 from tests.training.conftest import tiny
 from training.artefact import load_exported, read_initial, read_parameters
 from training.evaluate import evaluation_sets
-from training.export import Trained, export, measure_parity
+from training.export import Trained, export, fit_covariance, measure_parity, with_covariance
+from training.metrics import Forecasts
 from training.recipes.compact import one_ball, one_ball_between
 from training.recipes.field import field_one_ball
 from training.trainer import load_fitting
@@ -88,6 +89,21 @@ def test_graphs_tell_nothing_of_the_machine(exported):
     _, _, _, folder, _ = exported
     for file in (ENCODER_FILE, STEP_FILE):
         assert str(ROOT).encode() not in (folder / file).read_bytes()
+
+
+def test_ellipses_hold_their_shares_whatever_a_few_forecasts_do():
+    generator = np.random.default_rng(4)
+    truth = 2 * generator.standard_normal((4000, 1, 3, 2))
+    truth[:40] *= 100
+    nowhere = np.zeros_like(truth)
+    unit = np.tile(np.eye(2), (*truth.shape[:3], 1, 1))
+    made = Forecasts(nowhere, unit, None, truth, np.zeros((4000, 1, 3, 3)))
+    fitted = fit_covariance({"ellipsoid": made})
+    assert fitted.variance_scale == pytest.approx([4, 4, 4], rel=0.1)
+    served = with_covariance({"ellipsoid": made}, fitted)["ellipsoid"].calibration((0.5, 0.95))
+    assert served is not None
+    assert (abs(served[0.5] - 0.5) < 0.02).all()
+    assert (abs(served[0.95] - 0.95) < 0.02).all()
 
 
 def test_any_batch_size_runs(exported):

@@ -17,7 +17,7 @@ from training.simulate import SHARD_SCENES, Source
 from training.trainer import Pace, Trainer
 
 MODELS = Path(__file__).parents[2] / "models"
-PACE = Pace(validate_every=8, checkpoint_seconds=1e9, workers=0)
+PACE = Pace(validate_every=2, checkpoint_seconds=1e9, workers=0)
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +74,7 @@ def test_two_balls_with_an_explicit_state_go_all_the_way(make, runs, tmp_path):
     base = make(2)
     data = (DataShare(Source("ellipsoid", 2), SHARD_SCENES, share=1, latest_start=100),)
     recipe = replace(tiny(base), data=data, scenarios=base.scenarios, sequences=8)
+    recipe = replace(recipe, rehearsal=min(recipe.rehearsal, 40))
     Trainer(recipe, tmp_path, PACE, [read_initial(MODELS / "fieldnet-2" / "1")]).run()
     export_run(recipe, tmp_path, tmp_path, 1, SHARD_SCENES, workers=1)
     manifest, network = load_exported(tmp_path / base.members[0].name / "1")

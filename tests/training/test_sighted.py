@@ -19,7 +19,7 @@ from training.trainer import Initial, Pace, Trainer, load_fitting
 FRAMES = torch.randint(
     0, 256, (2, 5, 128, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(3)
 )
-PACE = Pace(validate_every=16, checkpoint_seconds=1000, workers=0)
+PACE = Pace(validate_every=4, checkpoint_seconds=1000, workers=0)
 
 
 def family(frames: int = 4, objects: int = 1, **options: bool) -> SightedFamily:

@@ -7,12 +7,19 @@ import torch
 from tests.training.conftest import tiny
 from training.models.compact import compact_family
 from training.models.task import Task
+from training.readings import rehearsed
 from training.recipes.compact import one_ball
-from training.recipes.field import field_one_ball, field_one_ball_rolling, field_several_balls
+from training.recipes.field import (
+    field_one_ball,
+    field_one_ball_between,
+    field_one_ball_rolling,
+    field_several_balls,
+)
 from training.recipes.recipe import Milestone
 from training.recipes.sighted import sighted_one_ball
 from training.trainer import (
     BEST,
+    READINGS,
     Initial,
     Pace,
     Trainer,
@@ -23,7 +30,7 @@ from training.trainer import (
     warmed_average,
 )
 
-PACE = Pace(validate_every=16, checkpoint_seconds=0, workers=0)
+PACE = Pace(validate_every=4, checkpoint_seconds=0, workers=0)
 
 
 @pytest.fixture(
@@ -95,6 +102,24 @@ def test_a_taught_eye_can_be_left_as_it_is(runs, tmp_path):
     trainer.run()
     kept = {n for n, v in trainer.family.state_dict().items() if torch.equal(v, before[n])}
     assert kept == {name for name in before if ".eye." in name}
+
+
+@pytest.fixture
+def bending(runs):
+    return replace(tiny(field_one_ball_between()), task=Task(final_step=3), rehearsal=40)
+
+
+def test_windows_are_read_once_and_rehearsed(bending, tmp_path):
+    trainer = Trainer(bending, tmp_path, PACE)
+    before = {name: value.clone() for name, value in trainer.family.state_dict().items()}
+    trainer.run()
+    changed = {n for n, v in trainer.family.state_dict().items() if not torch.equal(v, before[n])}
+    assert changed == {name for name in before if ".bend." in name}
+    readings = torch.load(tmp_path / READINGS, weights_only=True)
+    assert len(readings["p"]) == len(readings["s"]) == len(readings["positions"]) == 64
+    batch = next(rehearsed(tmp_path / READINGS, 5, seed=1, first_batch=3))
+    where = [int((readings["p"] == p).all(dim=(1, 2)).nonzero()) for p in batch["state"][1]]
+    assert torch.equal(batch["positions"], readings["positions"][where])
 
 
 def test_the_average_follows_closely_at_first_and_slowly_later():

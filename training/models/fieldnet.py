@@ -83,13 +83,23 @@ class Ball(NamedTuple):
         )
 
 
-class Aim(NamedTuple):
-    """Where a ball will be in the final frame."""
+class Course(NamedTuple):
+    """How a ball's own way relates to its place in the final frame."""
 
     final: Tensor
-    """[..., 2]."""
-    steps: Tensor
-    """[..., 1] until then."""
+    """[..., 2] where it will be then."""
+    miss: Tensor
+    """[..., 2] from where it would get by itself to there."""
+    passed: Tensor
+    """[..., 1] share of the steps until then."""
+
+
+def unpacked(p: Tensor) -> tuple[Ball, Course | None]:
+    """Ball and, where a final frame is seen, its course: p_t."""
+    if p.shape[-1] == NUMBERS:
+        return Ball.unpacked(p), None
+    numbers, *course = p.split((NUMBERS, 2, 2, 1), dim=-1)
+    return Ball.unpacked(numbers), Course(*course)
 
 
 class Encounters(nn.Module):
@@ -179,53 +189,55 @@ class Rolling(nn.Module):
         return torch.cat(known, dim=-1)
 
 
-class Guide(nn.Module):
-    """What knowing the final place changes: a perceptron over what a ball lacks to get there.
+class Bend(nn.Module):
+    """Bends a ball's own way so that it ends at its final place.
 
-    It feels the ground on the straight way to that place, where something else may be in between.
+    With a share u of the steps passed and a miss m at the end, the way moves by
+    u^2 m + u (1 - u) (G m + |m| g): nothing at first, all of m at the end. A perceptron says G and
+    g, so a way that would end well is left alone.
     """
-
-    points = 5
-    """On that way."""
 
     def __init__(self) -> None:
         super().__init__()
-        hidden = 192
-        known = 3 * 3 + 2 + 4 * 2 + 2 + 3 * self.points
+        hidden = 128
+        known = 2 + 2 + 2 + 3 + 3 + 3 + 2 + 2 * 3 + 2
         self.layers = nn.Sequential(
             nn.Linear(known, hidden), nn.SiLU(), nn.Linear(hidden, hidden), nn.SiLU()
         )
-        self.change = nn.Linear(hidden, 9)
+        self.change = nn.Linear(hidden, 4 + 2 + 3)
+        # Doubt listens without changing what is said of the positions.
         self.doubt = nn.Sequential(nn.Linear(known + 3, 64), nn.SiLU(), nn.Linear(64, 3))
         for last in (self.change, self.doubt[-1]):
             assert isinstance(last, nn.Linear)
             nn.init.zeros_(last.weight)
             nn.init.zeros_(last.bias)
 
-    def forward(self, ball: Ball, rolled: Ball, ground_B3GG: Tensor, aim: Aim) -> Ball:
-        """Balls a frame later, from how they are and where they would roll unguided."""
-        lacking = self._lacking(ball, rolled, ground_B3GG, aim)
-        change = of_each(self.change, of_each(self.layers, lacking))
-        doubting = torch.cat([rolled.doubt, lacking], dim=-1).detach()
-        doubt = rolled.doubt + of_each(self.doubt, doubting)
-        return rolled._replace(doubt=doubt).changed(*change.split(3, dim=-1))
+    def forward(self, ball: Ball, ground_B3GG: Tensor, course: Course) -> Ball:
+        """Balls [B, N, ...] where they are on their bent ways."""
+        known = self._known(ball, ground_B3GG, course)
+        change = of_each(self.change, of_each(self.layers, known))
+        gain, aside, turned = change.split((4, 2, 3), dim=-1)
+        doubting = torch.cat([ball.doubt, known], dim=-1).detach()
+        u, miss = course.passed, course.miss
+        size = miss.norm(dim=-1, keepdim=True)
+        between = (gain.unflatten(-1, (2, 2)) * miss[..., None, :]).sum(dim=-1) + size * aside
+        moved = u.square() * miss + u * (1 - u) * between
+        return ball._replace(
+            centre=torch.cat([ball.centre[..., :2] + moved, ball.centre[..., 2:]], dim=-1),
+            spin=ball.spin + size * turned,
+            doubt=ball.doubt + of_each(self.doubt, doubting),
+        )
 
-    def _lacking(self, ball: Ball, rolled: Ball, ground_B3GG: Tensor, aim: Aim) -> Tensor:
+    def _known(self, ball: Ball, ground_B3GG: Tensor, course: Course) -> Tensor:
         """Numbers [B, N, known] that the perceptrons work on."""
-        left = aim.steps - 1
-        way = aim.final - rolled.centre[..., :2]
-        # What the mean velocity over the steps left differs by from the present one, and how far
-        # the ball would be off if it kept the latter.
-        needed = way / left.clamp(min=1) - rolled.velocity[..., :2]
-        off = (way - left * rolled.velocity[..., :2]).clamp(-2, 2)
-        along = torch.linspace(0, 1, self.points, device=way.device)[:, None]
-        under = sampled(ground_B3GG, rolled.centre[..., None, :2] + along * way[..., None, :])
-        height = under[..., 2] - rolled.centre[..., 2:]
+        u, miss = course.passed, course.miss
+        size = miss.norm(dim=-1, keepdim=True)
+        straight = ball.centre[..., :2] + u * miss
+        places = torch.stack([ball.centre[..., :2], straight], dim=-2)
         known = [
-            10 * rolled.velocity, rolled.spin, 10 * (rolled.velocity - ball.velocity),
-            ball.measures, way, way / aim.steps.clamp(min=1), 10 * needed, off,
-            1 / aim.steps.clamp(min=1), aim.steps / 40,
-            under[..., 0], under[..., 1], height,
+            u, u.square(), miss, (5 * size).clamp(max=1.5), 0.3 * (size + 1e-3).log(),
+            ball.centre, 10 * ball.velocity, ball.spin, ball.measures,
+            sampled(ground_B3GG, places).flatten(-2), course.final,
         ]  # fmt: skip
         return torch.cat(known, dim=-1)
 
@@ -233,8 +245,7 @@ class Guide(nn.Module):
 class FieldNet(Network):
     """Eye x rolling: s_t is the map of the ground, which stays, and p_t the balls' states.
 
-    With a final frame, p_t also carries where the balls will be then, and when: a guide bends their
-    ways towards it.
+    With a final frame, p_t also carries each ball's course, and what is observed is bent to it.
 
     Raises
     ------
@@ -249,7 +260,7 @@ class FieldNet(Network):
         self.final_step = task.final_step
         self.eye = Eye(task.objects)
         self.rolling = Rolling(Encounters() if task.meetings else None)
-        self.guide = None if task.final_step is None else Guide()
+        self.bend = None if task.final_step is None else Bend()
         self.first_doubt = nn.Linear(FEATURES, 3)
         nn.init.zeros_(self.first_doubt.weight)
         with torch.no_grad():
@@ -269,34 +280,39 @@ class FieldNet(Network):
         return self.aimed(seen_state(reading, doubt), finals), reading
 
     def aimed(self, state: State, finals_BN2: Tensor | None) -> State:
-        """State whose balls also carry where they will be in the final frame, if it is known."""
+        """State whose balls also carry their courses, where the final frame is known."""
         if finals_BN2 is None:
             return state
         assert self.final_step is not None
-        steps = torch.full_like(finals_BN2[..., :1], self.final_step)
-        return State(state.s, torch.cat([state.p, finals_BN2, steps], dim=-1))
+        ball = Ball.unpacked(state.p)
+        for _ in range(self.final_step):
+            ball = self.rolling(ball, state.s)
+        course = Course(
+            finals_BN2, finals_BN2 - ball.centre[..., :2], torch.zeros_like(ball.doubt[..., :1])
+        )
+        return State(state.s, torch.cat([state.p, *course], dim=-1))
 
     def advance(self, state: State) -> State:
         """h_{t+1} from h_t."""
-        if self.guide is None:
-            return State(state.s, self.rolling(Ball.unpacked(state.p), state.s).packed())
-        numbers, *aim = state.p.split((NUMBERS, 2, 1), dim=-1)
-        ball, (final, steps) = Ball.unpacked(numbers), aim
-        moved = self.guide(ball, self.rolling(ball, state.s), state.s, Aim(final, steps))
-        return State(state.s, torch.cat([moved.packed(), final, steps - 1], dim=-1))
+        ball, course = unpacked(state.p)
+        moved = self.rolling(ball, state.s).packed()
+        if course is None or self.final_step is None:
+            return State(state.s, moved)
+        course = course._replace(passed=course.passed + 1 / self.final_step)
+        return State(state.s, torch.cat([moved, *course], dim=-1))
 
     def observe(self, state: State) -> Observation:
         """Observation y_t of a state."""
-        ball = Ball.unpacked(state.p[..., :NUMBERS])
+        ball, course = unpacked(state.p)
+        if course is not None and self.bend is not None:
+            ball = self.bend(ball, state.s, course)
         positions, covariances = self.output(torch.cat([ball.centre[..., :2], ball.doubt], dim=-1))
         return Observation(positions, covariances, ANGULAR_VELOCITY_UNIT * ball.spin)
 
     def observe_first(self, state: State) -> Observation:
         """Observation of h_0, with the final position where a frame shows it."""
-        seen = self.observe(state)
-        if self.guide is None:
-            return seen
-        return seen._replace(final_positions=pixels(state.p[..., NUMBERS : NUMBERS + 2]))
+        seen, (_, course) = self.observe(state), unpacked(state.p)
+        return seen if course is None else seen._replace(final_positions=pixels(course.final))
 
     def forward(self, frames_BKHW3: Tensor, horizon: int) -> Observation:
         """Observations of the steps 0..horizon-1, and what the eye read, for its own loss."""
@@ -306,10 +322,9 @@ class FieldNet(Network):
 
     def practise(self, state: State, horizon: int) -> tuple[Tensor, Tensor]:
         """Centres [B, N, T, 3] and angular velocities [B, N, T, 3] in rad/s from a state on."""
-        states = [state]
+        balls = [Ball.unpacked(state.p)]
         for _ in range(horizon - 1):
-            states.append(self.advance(states[-1]))
-        balls = [Ball.unpacked(one.p[..., :NUMBERS]) for one in states]
+            balls.append(self.rolling(balls[-1], state.s))
         centres = torch.stack([ball.centre for ball in balls], dim=2)
         spins = torch.stack([ball.spin for ball in balls], dim=2)
         return centres, ANGULAR_VELOCITY_UNIT * spins

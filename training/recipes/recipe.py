@@ -70,7 +70,7 @@ class Explicit:
     Attributes
     ----------
     reading
-        Loss of what the eye reads of the frames; None leaves a taught eye as it is.
+        Loss of what the eye reads of the frames; None for an eye that is taught already.
     motion
         Loss of balls that are moved from their true states over the true ground, so that motion is
         learned while the eye cannot see yet; None judges them as forecasts are.
@@ -126,6 +126,11 @@ class Recipe:
     """Longest gradient, in multiples of the usual length: one batch cannot throw a rollout off."""
     average_decay: float = 0.999
     """Of the exponential moving average of the weights, which is what gets evaluated."""
+    taught: tuple[str, ...] = ()
+    """Parts that stay as they are: what the names of their parameters begin with."""
+    rehearsal: int = 0
+    """Windows that are seen once, by a taught eye; batches are then drawn from what it read. With
+    none, every batch is seen anew."""
     validation_scenes: int = 100
     seed: int = 1
 
