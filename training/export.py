@@ -412,10 +412,10 @@ def _roll_onnx(
 def fit_covariance(forecasts: Mapping[Scenario, Forecasts]) -> CovarianceSource:
     """Fit what the manifest says of uncertainty, on validation forecasts up to T_gen.
 
-    A network that predicts covariances gets a variance scale at every step: the geometric mean of
-    those with which its ellipses of CALIBRATED shares hold as many truths. The scale of highest
-    likelihood would follow the few forecasts that are far off. Any other network gets the
-    covariance of its own residuals.
+    A network that predicts covariances gets a variance scale at every step: the largest of those
+    with which its ellipses of CALIBRATED shares hold as many truths, since too sure is worse than
+    too unsure. The scale of highest likelihood would follow the few forecasts that are far off.
+    Any other network gets the covariance of its own residuals.
     """
     residuals = np.concatenate([f.true_positions - f.positions for f in forecasts.values()])
     residuals = residuals.reshape(-1, residuals.shape[-2], 2).astype(float)
@@ -434,7 +434,7 @@ def fit_covariance(forecasts: Mapping[Scenario, Forecasts]) -> CovarianceSource:
     squared = np.sum(residuals * solved, axis=-1)
     # The squared radius of a bivariate Gaussian's ellipse that holds a share p: -2 ln(1 - p).
     fitting = [np.quantile(squared, p, axis=0) / (-2 * np.log(1 - p)) for p in CALIBRATED]
-    scale = np.exp(np.mean(np.log(fitting), axis=0))
+    scale = np.max(fitting, axis=0)
     return CovarianceSource(
         source="predicted", variance_scale=tuple(round(value, 4) for value in scale.tolist())
     )

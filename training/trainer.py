@@ -127,6 +127,12 @@ class Trainer:
         return self.batches * self.recipe.batch_size
 
     @property
+    def _windows_seen(self) -> int:
+        """Training windows seen so far; those that are rehearsed count once."""
+        rehearsal = self.recipe.rehearsal
+        return min(self.sequences, rehearsal) if rehearsal else self.sequences
+
+    @property
     def _batches_in_all(self) -> int:
         return self.recipe.sequences // self.recipe.batch_size
 
@@ -322,7 +328,8 @@ class Trainer:
                     events.add_scalar(tag, by_step[step - 1], self.sequences)
         error = sum(errors) / len(errors)
         events.add_scalar(f"validation/T={compared}", error, self.sequences)
-        if error < self._best_error:
+        # Of equals the later: where positions stay as they are, doubt goes on learning.
+        if error <= self._best_error:
             self._best_error = error
             _save(self.folder / BEST, self._weights())
 
@@ -337,7 +344,7 @@ class Trainer:
             "weights": {
                 name: member.state_dict() for name, member in self.averaged().networks().items()
             },
-            "sequences": self._earlier_sequences + self.sequences,
+            "sequences": self._earlier_sequences + self._windows_seen,
             "horizon": longest_rollout(self.recipe, self.batches / self._batches_in_all),
             "validation_error_px": self._best_error,
         }

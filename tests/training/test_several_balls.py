@@ -10,11 +10,13 @@ from rollcast.manifest import MANIFEST_FILE, Manifest
 from tests.training.conftest import tiny
 from training.artefact import load_exported, read_initial
 from training.export import export_run
+from training.models.compact import compact_family
+from training.models.task import Task
 from training.recipes.compact import several_balls_between
 from training.recipes.field import field_several_balls, field_several_balls_between
 from training.recipes.recipe import DataShare, Recipe
 from training.simulate import SHARD_SCENES, Source
-from training.trainer import Pace, Trainer
+from training.trainer import Initial, Pace, Trainer
 
 MODELS = Path(__file__).parents[2] / "models"
 PACE = Pace(validate_every=2, checkpoint_seconds=1e9, workers=0)
@@ -28,10 +30,18 @@ def two_balls(runs) -> Recipe:
 
 
 @pytest.fixture(scope="module")
-def exported(two_balls, tmp_path_factory) -> Path:
+def posnet() -> Initial:
+    """A network of one ball without a final frame."""
+    torch.manual_seed(6)
+    (network,) = compact_family({"posnet": "posnet"}, Task()).networks().values()
+    return Initial("posnet", network.state_dict(), 100)
+
+
+@pytest.fixture(scope="module")
+def exported(two_balls, posnet, tmp_path_factory) -> Path:
     """Folder of the models that a few batches gave."""
     folder = tmp_path_factory.mktemp("two-balls")
-    Trainer(two_balls, folder, PACE, [read_initial(MODELS / "posnet" / "1")]).run()
+    Trainer(two_balls, folder, PACE, [posnet]).run()
     export_run(two_balls, folder, folder, 1, SHARD_SCENES, workers=1)
     return folder / "interpnet-2" / "1"
 
@@ -53,9 +63,8 @@ def test_the_export_is_read_back(exported, two_balls):
     assert forecast.final_positions.shape == (1, 2, 2)
 
 
-def test_a_wider_network_begins_as_the_narrower_one(two_balls, tmp_path):
+def test_a_wider_network_begins_as_the_narrower_one(two_balls, posnet, tmp_path):
     """The eye of one ball becomes that of each, and neither minds the new inputs at first."""
-    posnet = read_initial(MODELS / "posnet" / "1")
     trainer = Trainer(two_balls, tmp_path, PACE, [posnet])
     (member,) = trainer.family.networks().values()
     own = member.state_dict()

@@ -77,6 +77,27 @@ def field_one_ball_rolling() -> Recipe:
     )
 
 
+def field_one_ball_doubt() -> Recipe:
+    """Train what the motion is sure of, and nothing else, over a taught network (``--init``)."""
+    recipe = field_one_ball_rolling()
+    motion = ("layers.", "change.", "linear.")
+    return replace(
+        recipe,
+        name="field-one-ball-doubt",
+        members=(_explicit("fieldnet", halving=40),),
+        sequences=384_000,
+        curriculum=recipe.curriculum[-1:],
+        explicit=None,
+        taught=("eye.", "first_doubt.", *(f"rolling.{part}" for part in motion)),
+        rehearsal=24_000,
+        batch_size=256,
+        learning_rate=2e-3,
+        gradient_clip=2.0,
+        average_decay=0.99,
+        seed=1,
+    )
+
+
 def field_several_balls(objects: int) -> Recipe:
     """FieldNet for two or three balls in ellipsoidal bowls, from one ball's (``--init``).
 
