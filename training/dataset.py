@@ -18,6 +18,7 @@ from rollcast.simulation.recording import TEST_START
 from rollcast.simulation.rendering import Renderer
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.models.eye import measures_of
+from training.models.predictor import Sight
 from training.simulate import STORED_FRAMES, Recording
 from training.survey import Survey
 
@@ -75,8 +76,8 @@ class Batch(TypedDict):
     """The fields of :class:`Scenery`."""
     practice: NotRequired["Batch"]
     """More windows without frames."""
-    state: NotRequired[tuple[torch.Tensor, torch.Tensor]]
-    """What was read of the frames, in their place: s_0 and p_0."""
+    sight: NotRequired[Sight]
+    """What was read of the frames, in their place."""
 
 
 @dataclass(frozen=True)
@@ -195,8 +196,8 @@ class TrainingStream(IterableDataset[Batch]):
         One for every group.
     practice
         Windows without frames beside every batch; with any, all windows have scenery.
-    blind
-        First batches, in which no window has frames.
+    seen
+        Whether the windows have frames; those without have scenery.
     """
 
     def __init__(
@@ -210,18 +211,19 @@ class TrainingStream(IterableDataset[Batch]):
         first_batch: int,
         surveys: Sequence[Survey],
         practice: int = 0,
-        blind: int = 0,
+        *,
+        seen: bool = True,
     ) -> None:
         if max(latest_starts) > LAST_START:
             raise ValueError(
                 f"latest_start is {max(latest_starts)}; at most {LAST_START} is stored"
             )
         self._makers = [
-            WindowMaker(group, final_step, survey, scenery=practice > 0)
+            WindowMaker(group, final_step, survey, scenery=practice > 0 or not seen)
             for group, survey in zip(groups, surveys, strict=True)
         ]
         self._practice = practice
-        self._blind = blind
+        self._seen = seen
         self._sizes = [len(group) for group in groups]
         self._shares = np.asarray(shares) / np.sum(shares)
         self._latest_starts = latest_starts
@@ -236,11 +238,11 @@ class TrainingStream(IterableDataset[Batch]):
         number = self._first_batch + first
         while True:
             generator = np.random.default_rng([self._seed, number])
-            yield self._batch(generator, seen=number >= self._blind)
+            yield self._batch(generator)
             number += stride
 
-    def _batch(self, generator: np.random.Generator, *, seen: bool) -> Batch:
-        batch = collate([self._draw(generator, seen=seen) for _ in range(self._batch_size)])
+    def _batch(self, generator: np.random.Generator) -> Batch:
+        batch = collate([self._draw(generator, seen=self._seen) for _ in range(self._batch_size)])
         if self._practice:
             unseen = [self._draw(generator, seen=False) for _ in range(self._practice)]
             batch["practice"] = collate(unseen)

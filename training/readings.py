@@ -7,13 +7,13 @@ import numpy as np
 import torch
 
 from training.dataset import FRAME_SHAPE, Batch
-from training.models.predictor import Network, State
+from training.models.predictor import EyedFamily, Sight, State
 
 TRUTH = ("positions", "angular_velocities")
 
 
-def read_windows(network: Network, stream: Iterator[Batch], windows: int, path: Path) -> None:
-    """Write the states that a network begins with, and the truth, for so many windows.
+def read_windows(family: EyedFamily, stream: Iterator[Batch], windows: int, path: Path) -> None:
+    """Write what a family's eye reads of so many windows, and their truth.
 
     Parameters
     ----------
@@ -22,19 +22,22 @@ def read_windows(network: Network, stream: Iterator[Batch], windows: int, path: 
     path
         File that the readings go to, whole or not at all.
     """
-    device = next(network.parameters()).device
-    kept: dict[str, list[torch.Tensor]] = {name: [] for name in (*State._fields, *TRUTH)}
+    device = next(family.parameters()).device
+    kept: dict[str, list[torch.Tensor]] = {}
     seen = 0
-    network.eval()
+    family.eval()
     while seen < windows:
         batch = next(stream)
         with torch.no_grad(), torch.autocast(device.type, torch.bfloat16):
-            state = network.start(batch["frames"].to(device))
+            sight = family.sight(batch["frames"].to(device))
         # A map of the ground has no use for more digits than halves have.
-        kept["s"].append(state.s.half().cpu())
-        kept["p"].append(state.p.float().cpu())
+        read = {"s": sight.state.s.half(), "p": sight.state.p.float()}
+        if sight.finals is not None:
+            read["finals"] = sight.finals.float()
         for name in TRUTH:
-            kept[name].append(batch[name])
+            read[name] = batch[name]
+        for name, part in read.items():
+            kept.setdefault(name, []).append(part.cpu())
         seen += len(batch["frames"])
     readings = {name: torch.cat(parts) for name, parts in kept.items()}
     unfinished = path.with_suffix(".tmp")
@@ -48,11 +51,12 @@ def rehearsed(path: Path, batch_size: int, seed: int, first_batch: int) -> Itera
     number = first_batch
     while True:
         generator = np.random.default_rng([seed, number])
-        drawn = torch.from_numpy(generator.integers(len(readings["p"]), size=batch_size))
+        rows = torch.from_numpy(generator.integers(len(readings["p"]), size=batch_size))
+        drawn = {name: part[rows] for name, part in readings.items()}
         yield Batch(
             frames=torch.empty(batch_size, 0, *FRAME_SHAPE, dtype=torch.uint8),
-            state=(readings["s"][drawn].float(), readings["p"][drawn]),
-            positions=readings["positions"][drawn],
-            angular_velocities=readings["angular_velocities"][drawn],
+            sight=Sight(State(drawn["s"].float(), drawn["p"]), drawn.get("finals")),
+            positions=drawn["positions"],
+            angular_velocities=drawn["angular_velocities"],
         )
         number += 1

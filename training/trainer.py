@@ -19,8 +19,16 @@ from training.dataset import Batch, TrainingStream, Window, compared_horizon, fi
 from training.losses import final_loss
 from training.metrics import forecast
 from training.models.fieldnet import FieldNet, true_state
-from training.models.predictor import Family, Network, Observation, State, in_float32
-from training.models.sighted import Sight, SightedFamily
+from training.models.predictor import (
+    EyedFamily,
+    Family,
+    Network,
+    Observation,
+    Sight,
+    State,
+    in_float32,
+)
+from training.models.sighted import SightedFamily
 from training.readings import read_windows, rehearsed
 from training.recipes.recipe import Milestone, Recipe
 from training.simulate import Source, load_recordings, simulate_split
@@ -164,17 +172,24 @@ class Trainer:
     def _stream(self) -> Iterator[Batch]:
         """Return the batches from the next one on: seen anew, or drawn from readings."""
         recipe = self.recipe
+        practice = recipe.explicit.practice if recipe.explicit else 0
         if not recipe.rehearsal:
-            return self._fresh(recipe.batch_size, self.batches)
+            return self._fresh(recipe.batch_size, self.batches, practice=practice)
         path = self.folder / READINGS
         if not path.exists():
-            (network,) = self.family.networks().values()
-            read_windows(network, self._fresh(READ_TOGETHER, 0), recipe.rehearsal, path)
-        return rehearsed(path, recipe.batch_size, recipe.seed, self.batches)
+            assert isinstance(self.family, EyedFamily)
+            read_windows(self.family, self._fresh(READ_TOGETHER, 0), recipe.rehearsal, path)
+        batches = rehearsed(path, recipe.batch_size, recipe.seed, self.batches)
+        if not practice:
+            return batches
+        unseen = self._fresh(practice, self.batches, seen=False)
+        return ({**batch, "practice": other} for batch, other in zip(batches, unseen, strict=True))
 
-    def _fresh(self, batch_size: int, first_batch: int) -> Iterator[Batch]:
-        recipe = self.recipe
-        simulators, explicit = self._pace.simulators, recipe.explicit
+    def _fresh(
+        self, batch_size: int, first_batch: int, *, practice: int = 0, seen: bool = True
+    ) -> Iterator[Batch]:
+        """Return batches of windows, cut anew; see :class:`TrainingStream`."""
+        recipe, simulators = self.recipe, self._pace.simulators
         shards = [
             simulate_split(part.source, "training", part.scenes, simulators) for part in recipe.data
         ]
@@ -187,8 +202,8 @@ class Trainer:
             recipe.seed,
             first_batch=first_batch,
             surveys=[survey(of_source, simulators) for of_source in shards],
-            practice=explicit.practice if explicit else 0,
-            blind=math.ceil(explicit.blind * self._batches_in_all) if explicit else 0,
+            practice=practice,
+            seen=seen,
         )
         loader = DataLoader(
             stream,
@@ -210,16 +225,12 @@ class Trainer:
         for parameter in shared["params"]:
             parameter.requires_grad_(spent >= recipe.heads_alone)
         horizon = horizon_at(recipe.curriculum, spent)
-        explicit = recipe.explicit
-        if explicit is not None and spent < explicit.blind:
-            loss = self._practice_loss(batch, horizon)
-        else:
-            forecasts = self._forecasts(batch, horizon)
-            loss = self._forecast_loss(forecasts, batch, horizon)
-            loss = loss + self._reading_loss(forecasts, batch)
-        if explicit is not None:
+        forecasts = self._forecasts(batch, horizon)
+        loss = self._forecast_loss(forecasts, batch, horizon)
+        loss = loss + self._reading_loss(forecasts, batch)
+        if recipe.explicit is not None:
             assert "practice" in batch
-            practised = horizon_at(explicit.curriculum, spent)
+            practised = horizon_at(recipe.explicit.curriculum, spent)
             loss = loss + self._practice_loss(batch["practice"], practised)
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -271,9 +282,9 @@ class Trainer:
             final = None
             if recipe.task.final_step is not None:
                 final = centres[:, :, FIRST_FORECAST_FRAME + recipe.task.final_step, :2]
-            with torch.autocast(self.device.type, torch.bfloat16):
-                made = self.family.practise(Sight(start, final), horizon)
-            return self._forecast_loss(_all_in_float32(made), batch, horizon)
+            return self._forecast_loss(
+                self._practised(Sight(start, final), horizon), batch, horizon
+            )
         assert explicit.motion is not None
         loss = torch.zeros((), device=self.device)
         truth = centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
@@ -306,12 +317,19 @@ class Trainer:
 
     def _forecasts(self, batch: Batch, horizon: int) -> dict[str, Observation]:
         """Return every member's forecasts of a batch's frames, or of what was read of them."""
-        if "state" in batch:
-            state = State(*(part.to(self.device) for part in batch["state"]))
-            networks = self.family.networks()
-            return {name: network.roll_out(state, horizon) for name, network in networks.items()}
+        if "sight" in batch:
+            (s, p), finals = batch["sight"]
+            state = State(s.to(self.device), p.to(self.device))
+            seen = Sight(state, None if finals is None else finals.to(self.device))
+            return self._practised(seen, horizon)
         with torch.autocast(self.device.type, torch.bfloat16):
             return _all_in_float32(self.family(batch["frames"].to(self.device), horizon))
+
+    def _practised(self, sight: Sight, horizon: int) -> dict[str, Observation]:
+        """Return every member's forecasts from what was read, or is true."""
+        assert isinstance(self.family, EyedFamily)
+        with torch.autocast(self.device.type, torch.bfloat16):
+            return _all_in_float32(self.family.practise(sight, horizon))
 
     def _validate(self, windows: dict[Source, list[Window]], events: SummaryWriter) -> None:
         """Measure the averaged weights and keep them when their mean error is the best."""

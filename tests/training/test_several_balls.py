@@ -83,7 +83,6 @@ def test_two_balls_with_an_explicit_state_go_all_the_way(make, runs, tmp_path):
     base = make(2)
     data = (DataShare(Source("ellipsoid", 2), SHARD_SCENES, share=1, latest_start=100),)
     recipe = replace(tiny(base), data=data, scenarios=base.scenarios, sequences=8)
-    recipe = replace(recipe, rehearsal=min(recipe.rehearsal, 40))
     Trainer(recipe, tmp_path, PACE, [read_initial(MODELS / "fieldnet-2" / "1")]).run()
     export_run(recipe, tmp_path, tmp_path, 1, SHARD_SCENES, workers=1)
     manifest, network = load_exported(tmp_path / base.members[0].name / "1")

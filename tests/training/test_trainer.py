@@ -106,7 +106,7 @@ def test_a_taught_eye_can_be_left_as_it_is(runs, tmp_path):
 
 @pytest.fixture
 def bending(runs):
-    return replace(tiny(field_one_ball_between()), task=Task(final_step=3), rehearsal=40)
+    return replace(tiny(field_one_ball_between()), task=Task(final_step=3))
 
 
 def test_windows_are_read_once_and_rehearsed(bending, tmp_path):
@@ -118,7 +118,7 @@ def test_windows_are_read_once_and_rehearsed(bending, tmp_path):
     readings = torch.load(tmp_path / READINGS, weights_only=True)
     assert len(readings["p"]) == len(readings["s"]) == len(readings["positions"]) == 64
     batch = next(rehearsed(tmp_path / READINGS, 5, seed=1, first_batch=3))
-    where = [int((readings["p"] == p).all(dim=(1, 2)).nonzero()) for p in batch["state"][1]]
+    where = [int((readings["p"] == p).all(dim=(1, 2)).nonzero()) for p in batch["sight"].state.p]
     assert torch.equal(batch["positions"], readings["positions"][where])
 
 

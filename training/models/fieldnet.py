@@ -20,11 +20,13 @@ from training.models.eye import (
 )
 from training.models.predictor import (
     ANGULAR_VELOCITY_UNIT,
+    EyedFamily,
     Family,
     GaussianOutput,
     Network,
     Observation,
     Reading,
+    Sight,
     State,
     logit_of_variance,
     pixels,
@@ -358,6 +360,23 @@ def true_state(
     return State(ground_B3GG.nan_to_num(), ball.packed())
 
 
+class FieldFamily(EyedFamily):
+    """Networks with an explicit state; a network of several has an eye of its own."""
+
+    def sight(self, frames_BKHW3: Tensor) -> Sight:
+        """Return what the eye of the only network reads of the frames."""
+        (network,) = self.networks().values()
+        return Sight(network.start(frames_BKHW3))
+
+    def practise(self, sight: Sight, horizon: int) -> dict[str, Observation]:
+        """Observations of the steps 0..horizon-1 of every member."""
+        with full_precision(sight.state.p.device):
+            return {
+                name: network.roll_out(sight.state, horizon)
+                for name, network in self.networks().items()
+            }
+
+
 def field_family(variants: Mapping[str, str], task: Task) -> Family:
     """Make networks of the field preset (see :class:`training.models.presets.Preset`).
 
@@ -370,4 +389,4 @@ def field_family(variants: Mapping[str, str], task: Task) -> Family:
         raise ValueError(
             f"the field preset makes fieldnet alone, not {', '.join(variants.values())}"
         )
-    return Family({name: FieldNet(task) for name in variants})
+    return FieldFamily({name: FieldNet(task) for name in variants})

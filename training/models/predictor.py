@@ -27,6 +27,16 @@ class State(NamedTuple):
     p: Tensor
 
 
+class Sight(NamedTuple):
+    """What a forecast of a network with an eye begins with: read of the frames, or true."""
+
+    state: State
+    """A map of the ground, and every ball's numbers (``fieldnet.py``)."""
+    finals: Tensor | None = None
+    """Image points [B, N, 2] of the balls in the final frame, halves of the frame; None where none
+    is seen, or where the state knows them."""
+
+
 class Reading(NamedTuple):
     """What an eye reads from the frames (``eye.py``); a forecast carries it for its loss alone.
 
@@ -268,6 +278,18 @@ class Family(nn.Module):
     def forward(self, frames_BKHW3: Tensor, horizon: int) -> dict[str, Observation]:
         """Observations of the steps 0..horizon-1 of every member."""
         return {name: member(frames_BKHW3, horizon) for name, member in self.networks().items()}
+
+
+class EyedFamily(Family, ABC):
+    """Networks that can begin without frames: with what their eye read before, or the truth."""
+
+    @abstractmethod
+    def sight(self, frames_BKHW3: Tensor) -> Sight:
+        """Return what the eye reads of the frames."""
+
+    @abstractmethod
+    def practise(self, sight: Sight, horizon: int) -> dict[str, Observation]:
+        """Observations of the steps 0..horizon-1 of every member."""
 
 
 class SharedStateFamily(Family):

@@ -6,7 +6,6 @@ States can be spread from the truth as well, so transition and heads practise wi
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -22,25 +21,16 @@ from training.models.compact import CHANNELS, composed
 from training.models.eye import Eye, full_precision, looked
 from training.models.fieldnet import Ball, seen_state
 from training.models.predictor import (
+    EyedFamily,
     Family,
     Observation,
-    Reading,
     SharedStateFamily,
-    State,
+    Sight,
 )
 from training.models.task import Task
 
 FOLD = 4
 """The ground's 32 x 32 cells are folded into the state's 8 x 8: so many a side go into one."""
-
-
-class Sight(NamedTuple):
-    """What a state begins with: read of the frames, or true."""
-
-    state: State
-    """FieldNet's: a map of the ground, and every ball's numbers."""
-    finals: Tensor | None
-    """Image points [B, N, 2] of the balls in the final frame, halves of the frame."""
 
 
 class Spread(nn.Module):
@@ -97,16 +87,12 @@ class SightedEncoder(nn.Module):
 
     def forward(self, frames_BKHW3: Tensor) -> Tensor:
         """Frames uint8 to s_0."""
-        return self.look(frames_BKHW3)[0]
+        return self.begin(self.look(frames_BKHW3))
 
-    def look(self, frames_BKHW3: Tensor) -> tuple[Tensor, Reading]:
-        """s_0, and what the eye read, which alone teaches it."""
+    def look(self, frames_BKHW3: Tensor) -> Sight:
+        """Return what the eye reads."""
         reading, finals = looked(self.eye, frames_BKHW3)
-        state = seen_state(reading, torch.zeros_like(reading.centres))
-        sight = Sight(
-            State(state.s.detach(), state.p.detach()), None if finals is None else finals.detach()
-        )
-        return self.begin(sight), reading
+        return Sight(seen_state(reading, torch.zeros_like(reading.centres)), finals)
 
     def begin(self, sight: Sight) -> Tensor:
         """s_0 of what was read, or of the truth."""
@@ -173,8 +159,8 @@ class AttendedTransition(nn.Module):
         return (GRID * answer.transpose(1, 2) @ writing).unflatten(2, (GRID, GRID))
 
 
-class SightedFamily(SharedStateFamily):
-    """Predictors over one sighted state, which can practise from the truth."""
+class SightedFamily(SharedStateFamily, EyedFamily):
+    """Predictors over one sighted state."""
 
     @property
     def encoder(self) -> SightedEncoder:
@@ -183,14 +169,12 @@ class SightedFamily(SharedStateFamily):
         assert isinstance(encoder, SightedEncoder)
         return encoder
 
-    def forward(self, frames_BKHW3: Tensor, horizon: int) -> dict[str, Observation]:
-        """Observations of the steps 0..horizon-1 of every member, and what the eye read."""
-        s, reading = self.encoder.look(frames_BKHW3)
-        made = self.roll_out(s, horizon)
-        return {name: observed._replace(reading=reading) for name, observed in made.items()}
+    def sight(self, frames_BKHW3: Tensor) -> Sight:
+        """Return what the eye reads of the frames."""
+        return self.encoder.look(frames_BKHW3)
 
     def practise(self, sight: Sight, horizon: int) -> dict[str, Observation]:
-        """Observations of the steps 0..horizon-1 of every member from what is true."""
+        """Observations of the steps 0..horizon-1 of every member."""
         return self.roll_out(self.encoder.begin(sight), horizon)
 
 

@@ -81,8 +81,6 @@ class Explicit:
     motion_rate
         Learning rate of what moves explicit balls, relative to everything else's: trained motion is
         thrown off by the rate that an eye needs.
-    blind
-        Share of the budget in which there is practice alone.
     """
 
     reading: ReadingLoss | None
@@ -90,7 +88,6 @@ class Explicit:
     practice: int
     curriculum: tuple[Milestone, ...]
     motion_rate: float = 1.0
-    blind: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -163,7 +160,7 @@ def continued(recipe: Recipe) -> Recipe:
     if explicit is None or explicit.reading is None:
         whole = (Milestone(0, longest),)
         if explicit is not None:
-            explicit = replace(explicit, curriculum=whole, blind=min(explicit.blind, 0.5))
+            explicit = replace(explicit, curriculum=whole)
         return replace(recipe, curriculum=whole, explicit=explicit)
     return replace(
         recipe,
