@@ -51,7 +51,7 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
                 settings.inference_threads + settings.inference_queue,
                 settings.max_batch,
                 figures.held.labels("inference"),
-                figures.batch,
+                figures.batches,
             ),
             simulation=Workers(
                 RecycledProcess(settings.simulation_recycle),

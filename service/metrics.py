@@ -1,5 +1,7 @@
 """What Prometheus reads of the service."""
 
+from collections.abc import Callable
+
 from fastapi import FastAPI
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.multiprocess import MultiProcessCollector
@@ -67,9 +69,9 @@ class Metrics:
         for stage in ("decode", "encode", "rollout"):
             self._stages.labels(stage, model).observe(getattr(timing, stage) / 1e3)
 
-    def batch(self, predictor: Predictor, rows: int) -> None:
-        """Count a step of so many forecasts together."""
-        self._batch.labels(predictor.manifest.label).observe(rows)
+    def batches(self, predictor: Predictor) -> Callable[[float], None]:
+        """Return what counts the steps of a rollout, told how many forecasts step together."""
+        return self._batch.labels(predictor.manifest.label).observe
 
     def refusal(self, problem: str) -> None:
         """Count a refused request by the last part of its problem's type."""

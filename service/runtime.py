@@ -37,18 +37,18 @@ class OnnxPredictor:
         self._encoder = _session(folder / ENCODER_FILE)
         self._step = _session(folder / STEP_FILE)
         self._state = [tensor.name for tensor in manifest.state]
-        self._next_state = [f"{NEXT_PREFIX}{name}" for name in self._state]
+        self._first = list(manifest.output_names)
+        self._later = list(manifest.step_output_names)
+        self._encoded = [*self._state, *self._first]
+        self._stepped = [*(f"{NEXT_PREFIX}{name}" for name in self._state), *self._later]
 
     def encode(self, frames: UInt8[np.ndarray, "B K 128 128 3"]) -> Step:
         """Return the first state and the outputs of step t = 0."""
-        names = self.manifest.output_names
-        values = self._encoder.run([*self._state, *names], {FRAMES_INPUT: frames})
-        return self._as_step(values, names)
+        return self._as_step(self._encoder.run(self._encoded, {FRAMES_INPUT: frames}), self._first)
 
     def advance(self, state: Arrays) -> Step:
         """Return the next state and the outputs of its step."""
-        names = self.manifest.step_output_names
-        return self._as_step(self._step.run([*self._next_state, *names], state), names)
+        return self._as_step(self._step.run(self._stepped, state), self._later)
 
     def _as_step(self, values: list[np.ndarray], outputs: Sequence[OutputName]) -> Step:
         split = len(self._state)

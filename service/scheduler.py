@@ -98,6 +98,7 @@ class _Rollout:
     """The requests that step together through one model."""
 
     predictor: Predictor
+    count: Callable[[float], None]
     members: list[_Member[Any]] = field(default_factory=list[_Member[Any]])
     arrivals: list[tuple[_Member[Any], Arrays]] = field(
         default_factory=list[tuple[_Member[Any], Arrays]]
@@ -125,6 +126,7 @@ class _Rollout:
         self._keep([m for m in self.members if m.guarded(m.patience.check)])
         if not self.members:
             return []
+        self.count(sum(member.rows for member in self.members))
         try:
             step = self.predictor.advance(self._state)
         except BaseException as error:  # whatever the runtime raises
@@ -133,17 +135,19 @@ class _Rollout:
             self.members = []
             return []
         self._state = step.state
-        going_on: list[_Member[Any]] = []
-        begin = 0
-        for member in self.members:
-            rows = slice(begin, begin + member.rows)
-            begin += member.rows
-            outputs: Outputs = {name: values[rows] for name, values in step.outputs.items()}
-            if member.guarded(lambda m=member, o=outputs: m.take(o)):
-                going_on.append(member)
+        shares = zip(self.members, self._shares(step.outputs), strict=True)
+        going_on = [m for m, outputs in shares if m.guarded(lambda m=m, o=outputs: m.take(o))]
         ended = [member for member in going_on if member.ended]
         self._keep([member for member in going_on if not member.ended])
         return ended
+
+    def _shares(self, outputs: Outputs) -> list[Outputs]:
+        """Every member's rows of a step's outputs."""
+        if len(self.members) == 1:
+            return [outputs]
+        ends = np.cumsum([member.rows for member in self.members])
+        rows = [slice(end - m.rows, end) for m, end in zip(self.members, ends, strict=True)]
+        return [{name: values[own] for name, values in outputs.items()} for own in rows]
 
     def _keep(self, kept: list[_Member[Any]]) -> None:
         """Let go of all other members."""
@@ -165,8 +169,10 @@ class Scheduler:
         Requests that it may hold.
     max_batch
         Forecasts with which a rollout begins although more frames wait.
-    shown, batches
-        Follow the number of requests held, and of forecasts that step together.
+    shown
+        Follows the number of requests held.
+    batches
+        Returns what is told, for every step of a rollout, how many forecasts step together.
     """
 
     def __init__(
@@ -175,7 +181,7 @@ class Scheduler:
         capacity: int,
         max_batch: int,
         shown: Gauge,
-        batches: Callable[[Predictor, int], None],
+        batches: Callable[[Predictor], Callable[[float], None]],
     ) -> None:
         self._places = Places(capacity, shown)
         self._max_batch = max_batch
@@ -272,7 +278,9 @@ class Scheduler:
             return
         predictor, first, _ = begun[0]
         with self._lock:
-            rollout = self._rollouts.setdefault(predictor, _Rollout(predictor))
+            if predictor not in self._rollouts:
+                self._rollouts[predictor] = _Rollout(predictor, self._batches(predictor))
+            rollout = self._rollouts[predictor]
             rollout.arrivals.append((member, first.state))
 
     def _lead(self, rollout: _Rollout) -> None:
@@ -284,7 +292,6 @@ class Scheduler:
                 if not rollout.members:
                     del self._rollouts[rollout.predictor]
                     return
-            self._batches(rollout.predictor, rollout.rows)
             ended = rollout.advance()
             if ended and not self._hand_over(rollout, ended):
                 return

@@ -2,26 +2,23 @@
 
 from pathlib import Path
 
-import numpy as np
 import onnx
 import torch
-from onnx import numpy_helper
 
 from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, STEP_FILE, Manifest
+from training.initial import Initial
 from training.models.predictor import Network
 from training.models.presets import PRESETS
 from training.models.task import Task
-from training.trainer import BEST, Initial
+from training.storage import stored_weights
+from training.trainer import BEST
 
 
 def read_parameters(folder: Path) -> dict[str, torch.Tensor]:
     """Parameters of an exported model by torch's names: its graphs' initialisers."""
     parameters: dict[str, torch.Tensor] = {}
     for file in (ENCODER_FILE, STEP_FILE):
-        for initialiser in onnx.load(folder / file).graph.initializer:
-            # Weights that are stored in halves are float32 in the network.
-            value = numpy_helper.to_array(initialiser).astype(np.float32)
-            parameters[initialiser.name] = torch.from_numpy(value)
+        parameters |= stored_weights(onnx.load(folder / file).graph)
     return parameters
 
 

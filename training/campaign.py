@@ -13,6 +13,7 @@ from pathlib import Path
 
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from training.artefact import read_initial
+from training.initial import Initial
 from training.recipes.field import (
     field_one_ball,
     field_one_ball_between,
@@ -27,7 +28,7 @@ from training.recipes.sighted import (
     sighted_several_balls_between,
 )
 from training.results import committed
-from training.trainer import Initial, Pace, Trainer
+from training.trainer import Pace, Trainer
 
 OUTCOME = "outcome.json"
 LEAST_GAIN = 0.01

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import onnx
 import torch
-from onnx import numpy_helper
 from torch import Tensor
 
 from rollcast.camera import NETWORK_FRAME_SIZE
@@ -45,6 +44,7 @@ from training.models.predictor import Network, Observation, State
 from training.models.sighted import AttendedTransition
 from training.recipes.recipe import Recipe
 from training.settings import keep_runtime_silent
+from training.storage import rename, round_weights, store_in_bytes
 from training.trainer import BEST
 
 STATE_NAMES = State._fields
@@ -65,8 +65,6 @@ UNITS: Mapping[OutputName, str] = {
 GOLDEN_SEQUENCES = 2
 CALIBRATED = (0.50, 0.95)
 _OWN_PREFIX = "network."
-_SMALLEST_HALVED = 4096
-"""Parameters of a tensor for which storing halves is worth a node."""
 
 
 class EncoderGraph(torch.nn.Module):
@@ -155,9 +153,7 @@ def export(
     folder.mkdir(parents=True, exist_ok=True)
     task = trained.recipe.task
     predictor = trained.predictor.cpu().eval()
-    for module in predictor.modules():
-        if isinstance(module, Eye | AttendedTransition):
-            round_to_halves(module)
+    round_weights(m for m in predictor.modules() if isinstance(m, Eye | AttendedTransition))
     sample = collate(_spread(validation, GOLDEN_SEQUENCES))["frames"]
     _write_graphs(predictor, sample, folder)
     horizon = trained.horizon
@@ -290,39 +286,12 @@ def _write_graph(
         )  # fmt: skip
     model = onnx.load(path)
     for initialiser in model.graph.initializer:
-        _rename(model.graph, initialiser.name, initialiser.name.removeprefix(_OWN_PREFIX))
+        rename(model.graph, initialiser.name, initialiser.name.removeprefix(_OWN_PREFIX))
         initialiser.name = initialiser.name.removeprefix(_OWN_PREFIX)
-    _store_in_halves(model.graph)
+    store_in_bytes(model.graph)
     drop_traces(model.graph)
     onnx.checker.check_model(model)
     onnx.save(model, path)
-
-
-def _rename(graph: onnx.GraphProto, old: str, new: str) -> None:
-    """Let every node read ``new`` where it read ``old``."""
-    for node in graph.node:
-        for place, name in enumerate(node.input):
-            if name == old:
-                node.input[place] = new
-
-
-def _store_in_halves(graph: onnx.GraphProto) -> None:
-    """Store the weights that float16 holds exactly as such, cast back before their use.
-
-    ONNX Runtime casts them once, when it loads the graph.
-    """
-    for initialiser in graph.initializer:
-        value = numpy_helper.to_array(initialiser)
-        if value.dtype != np.float32 or value.size < _SMALLEST_HALVED:
-            continue
-        half = value.astype(np.float16)
-        if not np.array_equal(half, value):
-            continue
-        name = initialiser.name
-        _rename(graph, name, f"{name}/float32")
-        initialiser.CopyFrom(numpy_helper.from_array(half, name))
-        cast = onnx.helper.make_node("Cast", [name], [f"{name}/float32"], to=onnx.TensorProto.FLOAT)
-        graph.node.insert(0, cast)
 
 
 def drop_traces(graph: onnx.GraphProto) -> None:
@@ -331,13 +300,6 @@ def drop_traces(graph: onnx.GraphProto) -> None:
     for part in (graph, *(one for of_kind in parts for one in of_kind)):
         del part.metadata_props[:]
         part.doc_string = ""
-
-
-def round_to_halves(module: torch.nn.Module) -> None:
-    """Round large parameters to float16: nothing to weights that learned in bfloat16."""
-    for parameter in module.parameters():
-        if parameter.numel() >= _SMALLEST_HALVED:
-            parameter.data = parameter.data.half().float()
 
 
 def _write_golden(predictor: Network, frames: Tensor, horizon: int, folder: Path) -> None:

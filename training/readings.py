@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from tqdm import tqdm
 
 from training.dataset import FRAME_SHAPE, Batch
 from training.models.predictor import EyedFamily, Sight, State
@@ -26,6 +27,7 @@ def read_windows(family: EyedFamily, stream: Iterator[Batch], windows: int, path
     kept: dict[str, list[torch.Tensor]] = {}
     seen = 0
     family.eval()
+    progress = tqdm(total=windows, unit="window", desc="reading")
     while seen < windows:
         batch = next(stream)
         with torch.no_grad(), torch.autocast(device.type, torch.bfloat16):
@@ -39,6 +41,8 @@ def read_windows(family: EyedFamily, stream: Iterator[Batch], windows: int, path
         for name, part in read.items():
             kept.setdefault(name, []).append(part.cpu())
         seen += len(batch["frames"])
+        progress.update(len(batch["frames"]))
+    progress.close()
     readings = {name: torch.cat(parts) for name, parts in kept.items()}
     unfinished = path.with_suffix(".tmp")
     torch.save(readings, unfinished)

@@ -26,7 +26,7 @@ def with_results(text: str, manifests: Sequence[Manifest]) -> str:
 
 
 def overview(manifests: Sequence[Manifest]) -> str:
-    """Errors on the test split at every reported horizon, baselines last, as Markdown.
+    """Errors on the test split at the horizons that all models report, baselines last, as Markdown.
 
     Models of several balls have a table of their own each.
     """
@@ -37,7 +37,8 @@ def overview(manifests: Sequence[Manifest]) -> str:
 
 def _overview(manifests: Sequence[Manifest]) -> str:
     """Table of models that follow the same number of balls."""
-    horizons = sorted({row.horizon for manifest in manifests for row in manifest.metrics})
+    reported = [{row.horizon for row in manifest.metrics} for manifest in manifests]
+    horizons = sorted(set[int].intersection(*reported))
     names = [*(manifest.name for manifest in manifests), "stays put", "line"]
     lines = [
         f"| {_balls(manifests[0].objects)}, test scenes | {' | '.join(names)} |",

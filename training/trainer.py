@@ -8,29 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch.utils.data import DataLoader
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.dataset import Batch, TrainingStream, Window, compared_horizon, fixed_windows
-from training.losses import final_loss
+from training.initial import Initial, load_fitting
 from training.metrics import forecast
-from training.models.fieldnet import FieldNet, true_state
+from training.models.fieldnet import FieldNet
 from training.models.predictor import (
     EyedFamily,
     Family,
-    Network,
-    Observation,
-    Sight,
-    State,
-    in_float32,
 )
-from training.models.sighted import SightedFamily
+from training.objective import Objective
 from training.readings import read_windows, rehearsed
-from training.recipes.recipe import Milestone, Recipe
+from training.recipes.recipe import Recipe, longest_rollout
 from training.simulate import Source, load_recordings, simulate_split
 from training.survey import survey
 
@@ -39,8 +32,6 @@ BEST = "best.pt"
 READINGS = "readings.pt"
 READ_TOGETHER = 32
 """Windows that are read at once to be rehearsed."""
-OF_EVERY_BALL = ("encoder.", "eye.first.where.")
-"""Parameters whose outputs there are of every ball."""
 USUAL_GRADIENT_MEMORY = 0.99
 SHARED_WARM_UP = 0.02
 """Share of the budget over which the shared parameters' rate rises after the heads' time alone."""
@@ -56,15 +47,6 @@ class Pace:
     """Processes that render training batches."""
     simulators: int = 1
     """Processes that simulate missing scenes."""
-
-
-@dataclass(frozen=True)
-class Initial:
-    """A trained network: its name, parameters, and the training sequences that they have seen."""
-
-    name: str
-    parameters: dict[str, torch.Tensor]
-    sequences: int
 
 
 class Trainer:
@@ -108,6 +90,7 @@ class Trainer:
         )
         self._optimiser = recipe.optimiser(self._groups(), recipe.learning_rate)
         self._schedule = recipe.schedule()
+        self._objective = Objective(recipe, self.family, self.device)
         self.batches = 0
         self._usual_gradient = 0.0
         self._best_error = math.inf
@@ -224,14 +207,7 @@ class Trainer:
         shared["lr"] = rate * shared_factor(spent, recipe.heads_alone)
         for parameter in shared["params"]:
             parameter.requires_grad_(spent >= recipe.heads_alone)
-        horizon = horizon_at(recipe.curriculum, spent)
-        forecasts = self._forecasts(batch, horizon)
-        loss = self._forecast_loss(forecasts, batch, horizon)
-        loss = loss + self._reading_loss(forecasts, batch)
-        if recipe.explicit is not None:
-            assert "practice" in batch
-            practised = horizon_at(recipe.explicit.curriculum, spent)
-            loss = loss + self._practice_loss(batch["practice"], practised)
+        loss = self._objective.loss(batch, spent)
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
         self._clip_gradients()
@@ -241,64 +217,6 @@ class Trainer:
         value = float(loss.detach())
         self._schedule.observe(value, recipe.batch_size)
         return value
-
-    def _forecast_loss(
-        self, forecasts: dict[str, Observation], batch: Batch, horizon: int
-    ) -> torch.Tensor:
-        """Loss of every member's forecasts of a batch."""
-        recipe = self.recipe
-        positions = batch["positions"].to(self.device)
-        spins = batch["angular_velocities"][:, :, :horizon].to(self.device)
-        # All members read the same angular velocity.
-        loss = recipe.spin_loss(next(iter(forecasts.values())), spins)
-        for member in recipe.members:
-            made = forecasts[member.name]
-            loss = loss + member.weight * member.loss(made, positions[:, :, :horizon])
-            if recipe.task.final_step is not None:
-                final = positions[:, :, recipe.task.final_step]
-                loss = loss + member.weight * final_loss(made, final)
-        return loss
-
-    def _reading_loss(
-        self, forecasts: dict[str, Observation], batch: Batch
-    ) -> torch.Tensor | float:
-        """Loss of what the eyes read; zero where none learns."""
-        explicit = self.recipe.explicit
-        if explicit is None or explicit.reading is None:
-            return 0.0
-        scenery = self._scenery(batch)
-        readings = {id(made.reading): made.reading for made in forecasts.values()}
-        losses = [explicit.reading(reading, scenery) for reading in readings.values() if reading]
-        return sum(losses, start=0.0)
-
-    def _practice_loss(self, batch: Batch, horizon: int) -> torch.Tensor:
-        """Loss of forecasts that begin with the truth instead of frames."""
-        recipe, explicit = self.recipe, self.recipe.explicit
-        assert explicit is not None
-        centres, ground, measures = self._scenery(batch)
-        spins = batch["angular_velocities"][:, :, :horizon].to(self.device)
-        start = true_state(centres[:, :, :OBSERVED_FRAMES], spins[:, :, 0], ground, measures)
-        if isinstance(self.family, SightedFamily):
-            final = None
-            if recipe.task.final_step is not None:
-                final = centres[:, :, FIRST_FORECAST_FRAME + recipe.task.final_step, :2]
-            return self._forecast_loss(
-                self._practised(Sight(start, final), horizon), batch, horizon
-            )
-        assert explicit.motion is not None
-        loss = torch.zeros((), device=self.device)
-        truth = centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
-        for network in self.family.networks().values():
-            assert isinstance(network, FieldNet)
-            moved, turned = network.practise(start, horizon)
-            turning = Observation(moved[..., :2], None, turned)
-            loss = loss + explicit.motion(moved, truth) + recipe.spin_loss(turning, spins)
-        return loss
-
-    def _scenery(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        assert "scenery" in batch
-        centres, ground, measures = batch["scenery"]
-        return centres.to(self.device), ground.to(self.device), measures.to(self.device)
 
     def _clip_gradients(self) -> None:
         """Cut the gradient to a multiple of its usual length, a running geometric mean.
@@ -314,22 +232,6 @@ class Trainer:
             return
         memory = min(USUAL_GRADIENT_MEMORY, self.batches / (self.batches + 1))
         self._usual_gradient = usual**memory * norm ** (1 - memory)
-
-    def _forecasts(self, batch: Batch, horizon: int) -> dict[str, Observation]:
-        """Return every member's forecasts of a batch's frames, or of what was read of them."""
-        if "sight" in batch:
-            (s, p), finals = batch["sight"]
-            state = State(s.to(self.device), p.to(self.device))
-            seen = Sight(state, None if finals is None else finals.to(self.device))
-            return self._practised(seen, horizon)
-        with torch.autocast(self.device.type, torch.bfloat16):
-            return _all_in_float32(self.family(batch["frames"].to(self.device), horizon))
-
-    def _practised(self, sight: Sight, horizon: int) -> dict[str, Observation]:
-        """Return every member's forecasts from what was read, or is true."""
-        assert isinstance(self.family, EyedFamily)
-        with torch.autocast(self.device.type, torch.bfloat16):
-            return _all_in_float32(self.family.practise(sight, horizon))
 
     def _validate(self, windows: dict[Source, list[Window]], events: SummaryWriter) -> None:
         """Measure the averaged weights and keep them when their mean error is the best."""
@@ -399,10 +301,6 @@ class Trainer:
         torch.set_rng_state(state["random"].cpu())
 
 
-def _all_in_float32(observed: dict[str, Observation]) -> dict[str, Observation]:
-    return {name: in_float32(observation) for name, observation in observed.items()}
-
-
 def _give_way(worker: int) -> None:  # noqa: ARG001 - the loader passes its number
     """Let rendering fill gaps only: a network's threads wait for the one that lost its core."""
     os.nice(10)
@@ -421,25 +319,6 @@ def validation_windows(recipe: Recipe, simulators: int) -> dict[Source, list[Win
         )
         for source in sources
     }
-
-
-def horizon_at(curriculum: tuple[Milestone, ...], spent: float) -> int:
-    """Horizon to train on when a share ``spent`` of the budget is gone."""
-    shares = [milestone.spent for milestone in curriculum]
-    horizons = [milestone.horizon for milestone in curriculum]
-    return int(np.interp(spent, shares, horizons))
-
-
-def longest_rollout(recipe: Recipe, spent: float) -> int:
-    """Return the steps of the longest rollouts trained on once a share ``spent`` is gone.
-
-    From frames or, where there is practice, from true states. This, not what the recipe is on its
-    way to, is the trained horizon of weights that are kept before the end.
-    """
-    horizon = horizon_at(recipe.curriculum, spent)
-    if recipe.explicit is None:
-        return horizon
-    return max(horizon, horizon_at(recipe.explicit.curriculum, spent))
 
 
 def warmed_average(decay: float) -> Callable[..., None]:
@@ -463,44 +342,6 @@ def warmed_average(decay: float) -> Callable[..., None]:
 def shared_factor(spent: float, heads_alone: float) -> float:
     """Factor on the shared parameters' rate: it rises once the heads have learned alone."""
     return min(max((spent - heads_alone) / SHARED_WARM_UP, 0.0), 1.0) if heads_alone else 1.0
-
-
-def load_fitting(network: Network, initial: dict[str, torch.Tensor]) -> list[str]:
-    """Copy the parameters whose names and shapes fit; return the names that were taken over.
-
-    A network that sees a final frame, several balls or their interaction has wider layers than one
-    without. Inputs that the smaller network lacks begin at zero; outputs that there are of every
-    ball are repeated.
-
-    Raises
-    ------
-    ValueError
-        When none fits.
-    """
-    own = network.state_dict()
-    # An eye that was taught alone sits in the encoder of a predictor.
-    placed = {n if n in own else f"encoder.{n}": value for n, value in initial.items()}
-    fitting = {
-        name: widened for name, value in placed.items()
-        if name in own and (widened := _widened(name, value, own[name].shape)) is not None
-    }  # fmt: skip
-    if not fitting:
-        raise ValueError("the initial parameters share no name and shape with the network")
-    network.load_state_dict(own | fitting)
-    return sorted(fitting)
-
-
-def _widened(name: str, value: torch.Tensor, shape: torch.Size) -> torch.Tensor | None:
-    """Parameter of a narrower layer in the shape of a wider one; None when it cannot be."""
-    if value.ndim != len(shape) or value.shape[2:] != shape[2:]:
-        return None
-    if name.startswith(OF_EVERY_BALL) and shape[0] > value.shape[0]:
-        times = math.ceil(shape[0] / value.shape[0])
-        value = value.repeat(times, *(1 for _ in shape[1:]))[: shape[0]]
-    if value.ndim > 1 and value.shape[1] < shape[1]:
-        missing = value.new_zeros(len(value), shape[1] - value.shape[1], *shape[2:])
-        value = torch.cat([value, missing], dim=1)
-    return value if value.shape == shape else None
 
 
 def _save(path: Path, content: dict[str, Any]) -> None:

@@ -21,18 +21,21 @@ from tests.bench.payloads import HORIZON, frames, png_files
 ROOT = Path(__file__).resolve().parents[2]
 
 
+def opened(path: Path) -> onnxruntime.InferenceSession:
+    """Open a graph on one thread."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    return onnxruntime.InferenceSession(path, options, ["CPUExecutionProvider"])
+
+
 class BareLoop:
     """Encoder once, step HORIZON - 1 times; one thread."""
 
     def __init__(self, folder: Path) -> None:
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        options.inter_op_num_threads = 1
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        self._encoder, self._step = (
-            onnxruntime.InferenceSession(folder / name, options, ["CPUExecutionProvider"])
-            for name in ("encoder.onnx", "step.onnx")
-        )
+        self._encoder = opened(folder / "encoder.onnx")
+        self._step = opened(folder / "step.onnx")
         self._state = [one.name for one in self._step.get_inputs()]
         self._first = [one.name for one in self._encoder.get_outputs()]
         self._next = [one.name for one in self._step.get_outputs()]

@@ -1,6 +1,7 @@
 """The client of all benchmarks: connections that ask without a pause, or requests at a fixed rate.
 
-python -m tests.bench.load URL MODEL --kind binary --connections 16 --seconds 5
+python -m tests.bench.load URL MODEL --kinds binary --connections 16 --seconds 5
+python -m tests.bench.load URL MODEL --kinds binary json --simulate 50 --requests 2000
 python -m tests.bench.load URL MODEL --rate 300 --seconds 60
 
 Prints as JSON the times of the answers by status, and this program's own processor time.
@@ -8,43 +9,48 @@ Prints as JSON the times of the answers by status, and this program's own proces
 
 import argparse
 import asyncio
+import itertools
 import json
+import math
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 
 import aiohttp
 
-from tests.bench.payloads import Payload, frames, payload
+from tests.bench.payloads import KINDS, Payload, frames, payload, simulation
 
 Times = dict[int, list[float]]
 """Seconds of every answer, by status."""
 
 
 class Client:
-    """Sends one request again and again."""
+    """Sends requests in turn, again and again."""
 
-    def __init__(self, session: aiohttp.ClientSession, request: Payload) -> None:
+    def __init__(self, session: aiohttp.ClientSession, requests: Sequence[Payload]) -> None:
         self._session = session
-        self._request = request
+        self._requests = itertools.cycle(requests)
+        self.sent = 0
         self.times: Times = defaultdict(list)
 
     async def ask(self) -> None:
-        """Send it once."""
+        """Send the next one."""
         begun = time.perf_counter()
-        request = self._request
+        request = next(self._requests)
+        self.sent += 1
         async with self._session.post(
             request.path, data=request.body, headers=request.headers
         ) as response:
             await response.read()
         self.times[response.status].append(time.perf_counter() - begun)
 
-    async def ask_until(self, end: float) -> None:
-        """Send it whenever the last answer is there."""
-        while time.perf_counter() < end:
+    async def ask_on(self, end: float, most: float) -> None:
+        """Send the next whenever the last answer is there, until some time or number is reached."""
+        while time.perf_counter() < end and self.sent < most:
             await self.ask()
 
     async def ask_at_rate(self, rate: float, seconds: float) -> None:
-        """Send it so many times a second, whether answers come or not."""
+        """Send so many a second, whether answers come or not."""
         begun = time.perf_counter()
         asked: list[asyncio.Task[None]] = []
         while (now := time.perf_counter() - begun) < seconds:
@@ -55,15 +61,20 @@ class Client:
 
 
 async def load(
-    url: str, request: Payload, seconds: float, connections: int = 0, rate: float | None = None
+    url: str,
+    requests: Sequence[Payload],
+    seconds: float = math.inf,
+    connections: int = 0,
+    rate: float | None = None,
+    most: float = math.inf,
 ) -> Times:
     """Put a load on a server; no number of connections means as many as are needed."""
     connector = aiohttp.TCPConnector(limit=connections)
     async with aiohttp.ClientSession(url, connector=connector) as session:
-        client = Client(session, request)
+        client = Client(session, requests)
         if rate is None:
             end = time.perf_counter() + seconds
-            await asyncio.gather(*(client.ask_until(end) for _ in range(connections)))
+            await asyncio.gather(*(client.ask_on(end, most) for _ in range(connections)))
         else:
             await client.ask_at_rate(rate, seconds)
         return client.times
@@ -73,16 +84,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("url")
     parser.add_argument("model")
-    parser.add_argument("--kind", choices=["binary", "multipart", "json"], default="binary")
+    parser.add_argument("--kinds", choices=KINDS, nargs="+", default=["binary"])
+    parser.add_argument("--simulate", type=int, metavar="N", help="every Nth is a simulation")
     parser.add_argument("--connections", type=int, default=1)
     parser.add_argument("--rate", type=float, help="requests a second")
-    parser.add_argument("--seconds", type=float, default=5)
+    parser.add_argument("--seconds", type=float)
+    parser.add_argument("--requests", type=int)
     given = parser.parse_args()
-    request = payload(given.kind, given.model, frames())
-    asyncio.run(load(given.url, request, 0.3, connections=1))
-    used = time.process_time()
+    if given.seconds is None and given.requests is None:
+        parser.error("how long? --seconds or --requests")
+    images = frames()
+    forecasts = [payload(kind, given.model, images) for kind in given.kinds]
+    asyncio.run(load(given.url, forecasts, 0.3, connections=1))
+    requests = forecasts
+    if given.simulate is not None:
+        others = itertools.islice(itertools.cycle(forecasts), given.simulate - 1)
+        requests = [*others, simulation()]
+    seconds, most = given.seconds or math.inf, given.requests or math.inf
     connections = given.connections if given.rate is None else 0
-    times = asyncio.run(load(given.url, request, given.seconds, connections, given.rate))
+    used = time.process_time()
+    times = asyncio.run(load(given.url, requests, seconds, connections, given.rate, most))
     used = time.process_time() - used
     print(json.dumps({"times_s": times, "client_s": used}))
 

@@ -13,6 +13,7 @@ from rollcast.simulation import Simulator
 
 HORIZON = 40
 Kind = Literal["binary", "multipart", "json"]
+KINDS: tuple[Kind, ...] = ("binary", "multipart", "json")
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,12 @@ def payload(kind: Kind, model: str, images: np.ndarray) -> Payload:
         body = json.dumps({"model": model, "frames": encoded, "horizon": HORIZON}).encode()
         return Payload("/predict", {"Content-Type": "application/json"}, body)
     return _multipart(model, images)
+
+
+def simulation() -> Payload:
+    """Make the request for a short simulation."""
+    body = json.dumps({"scenario": "ellipsoid", "objects": 1, "seed": 7, "steps": 24}).encode()
+    return Payload("/simulate", {"Content-Type": "application/json"}, body)
 
 
 def _binary(model: str, images: np.ndarray) -> Payload:

@@ -73,7 +73,7 @@ def start():
 
     def _start(threads=2, capacity=64, max_batch=16) -> Scheduler:
         held = Gauge("held", "Requests", registry=None)
-        made.append(Scheduler(threads, capacity, max_batch, held, lambda _, __: None))
+        made.append(Scheduler(threads, capacity, max_batch, held, lambda _: lambda _: None))
         return made[-1]
 
     yield _start
@@ -206,7 +206,7 @@ def test_what_is_cancelled_before_its_turn_never_begins(start, network):
 
 def test_closing_answers_what_steps_and_drops_what_waits(network):
     held = Gauge("held", "Requests", registry=None)
-    scheduler = Scheduler(1, 9, 16, held, lambda _, __: None)
+    scheduler = Scheduler(1, 9, 16, held, lambda _: lambda _: None)
     network.gate.clear()
     running = scheduler.submit(Count(network, [0], 3), Patience())
     while network.gate.is_set() or not running.running():

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from training.initial import load_fitting
 from training.losses import DistanceLoss, DoubtLoss, LikelihoodLoss, MotionLoss, ReadingLoss
 from training.models.eye import (
     PATCH_HALF_WIDTH,
@@ -17,8 +18,7 @@ from training.models.fieldnet import AHEAD, Ball, Encounters, FieldNet, field_fa
 from training.models.predictor import ANGULAR_VELOCITY_UNIT, Observation, Reading, State
 from training.models.task import Task
 from training.recipes.field import field_one_ball, field_several_balls
-from training.recipes.recipe import continued
-from training.trainer import horizon_at, load_fitting
+from training.recipes.recipe import continued, horizon_at
 
 FRAMES = torch.randint(
     0, 256, (2, 4, 128, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(3)

@@ -10,13 +10,14 @@ from rollcast.manifest import MANIFEST_FILE, Manifest
 from tests.training.conftest import tiny
 from training.artefact import load_exported, read_initial
 from training.export import export_run
+from training.initial import Initial
 from training.models.compact import compact_family
 from training.models.task import Task
 from training.recipes.compact import several_balls_between
 from training.recipes.field import field_several_balls, field_several_balls_between
 from training.recipes.recipe import DataShare, Recipe
 from training.simulate import SHARD_SCENES, Source
-from training.trainer import Initial, Pace, Trainer
+from training.trainer import Pace, Trainer
 
 MODELS = Path(__file__).parents[2] / "models"
 PACE = Pace(validate_every=2, checkpoint_seconds=1e9, workers=0)

@@ -8,13 +8,14 @@ import torch
 from tests.training.conftest import tiny
 from training.artefact import load_exported
 from training.export import export_run
+from training.initial import Initial, load_fitting
 from training.models.fieldnet import Ball, FieldNet, seen_state
 from training.models.predictor import State
 from training.models.sighted import Sight, SightedFamily, sighted_family
 from training.models.task import Task
 from training.recipes.sighted import sighted_one_ball, sighted_one_ball_between
 from training.simulate import SHARD_SCENES
-from training.trainer import Initial, Pace, Trainer, load_fitting
+from training.trainer import Pace, Trainer
 
 FRAMES = torch.randint(
     0, 256, (2, 5, 128, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(3)

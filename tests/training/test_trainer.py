@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from tests.training.conftest import tiny
+from training.initial import Initial, load_fitting
 from training.models.compact import compact_family
 from training.models.task import Task
 from training.readings import rehearsed
@@ -15,17 +16,13 @@ from training.recipes.field import (
     field_one_ball_rolling,
     field_several_balls,
 )
-from training.recipes.recipe import Milestone
+from training.recipes.recipe import Milestone, horizon_at, longest_rollout
 from training.recipes.sighted import sighted_one_ball
 from training.trainer import (
     BEST,
     READINGS,
-    Initial,
     Pace,
     Trainer,
-    horizon_at,
-    load_fitting,
-    longest_rollout,
     shared_factor,
     warmed_average,
 )

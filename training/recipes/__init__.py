@@ -5,9 +5,7 @@ from functools import partial
 
 from training.recipes.compact import (
     one_ball,
-    one_ball_annealed,
     one_ball_between,
-    one_ball_continued,
     several_balls,
     several_balls_between,
 )
@@ -31,8 +29,6 @@ from training.recipes.sighted import (
 
 RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "one-ball": one_ball,
-    "one-ball-continued": one_ball_continued,
-    "one-ball-annealed": one_ball_annealed,
     "one-ball-between": one_ball_between,
     "2-balls": partial(several_balls, 2),
     "3-balls": partial(several_balls, 3),

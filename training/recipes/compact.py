@@ -5,7 +5,7 @@ from dataclasses import replace
 from rollcast.scene import SMALL_RADIUS_M
 from training.losses import DistanceLoss, LikelihoodLoss, SpinLoss
 from training.models.task import Task
-from training.recipes.recipe import DataShare, Member, Milestone, Recipe, continued
+from training.recipes.recipe import DataShare, Member, Milestone, Recipe
 from training.simulate import Source
 
 ONE_BALL_DATA = (
@@ -36,24 +36,6 @@ def one_ball() -> Recipe:
         task=Task(),
         sequences=280_000,
         curriculum=(Milestone(0.1, 2), Milestone(0.35, 10), Milestone(0.65, 20)),
-    )
-
-
-def one_ball_continued() -> Recipe:
-    """Train the same from weights that already forecast (``--init``)."""
-    return replace(
-        continued(one_ball()), name="one-ball-continued", sequences=144_000, learning_rate=4e-4
-    )
-
-
-def one_ball_annealed() -> Recipe:
-    """Let weights that already forecast settle: a short, slow last stretch (``--init``)."""
-    return replace(
-        one_ball_continued(),
-        name="one-ball-annealed",
-        sequences=27_200,
-        learning_rate=2e-4,
-        average_decay=0.995,
     )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import torch
 
 from rollcast.scene import Scenario
@@ -172,3 +173,22 @@ def continued(recipe: Recipe) -> Recipe:
             motion_rate=0.1,
         ),
     )
+
+
+def horizon_at(curriculum: tuple[Milestone, ...], spent: float) -> int:
+    """Horizon to train on when a share ``spent`` of the budget is gone."""
+    shares = [milestone.spent for milestone in curriculum]
+    horizons = [milestone.horizon for milestone in curriculum]
+    return int(np.interp(spent, shares, horizons))
+
+
+def longest_rollout(recipe: Recipe, spent: float) -> int:
+    """Return the steps of the longest rollouts trained on once a share ``spent`` is gone.
+
+    From frames or, where there is practice, from true states. This, not what the recipe is on its
+    way to, is the trained horizon of weights that are kept before the end.
+    """
+    horizon = horizon_at(recipe.curriculum, spent)
+    if recipe.explicit is None:
+        return horizon
+    return max(horizon, horizon_at(recipe.explicit.curriculum, spent))

@@ -40,9 +40,12 @@ def sighted_one_ball_between() -> Recipe:
 
 
 def sighted_several_balls(objects: int) -> Recipe:
-    """PosNet, DispNet and ProbNet for two or three balls with the eye of FieldNet for as many."""
+    """PosNet, DispNet and ProbNet for two or three balls with the eye of FieldNet for as many.
+
+    From motion that one ball taught (``--init``): it knows all but the encounters.
+    """
     compact, one = several_balls(objects), sighted_one_ball()
-    horizons = (Milestone(0.05, 2), Milestone(0.5, 15))
+    horizons = (Milestone(0, 5), Milestone(0.3, 15))
     assert one.explicit is not None
     return replace(
         one,
@@ -51,6 +54,8 @@ def sighted_several_balls(objects: int) -> Recipe:
         data=field_several_balls(objects).data,
         scenarios=compact.scenarios,
         task=Task(objects),
+        sequences=64_000,
+        rehearsal=12_800,
         curriculum=horizons,
         explicit=replace(one.explicit, curriculum=horizons),
     )
@@ -70,7 +75,7 @@ def _interpolated(recipe: Recipe, between: Recipe) -> Recipe:
         name=f"{recipe.name}-between",
         members=between.members,
         task=between.task,
-        sequences=96_000,
+        sequences=recipe.sequences * 3 // 5,
         curriculum=horizons,
         explicit=replace(recipe.explicit, curriculum=horizons),
     )

@@ -1,0 +1,118 @@
+"""What a forecast costs in a batch: encoder and step at several sizes, on one core and on all.
+
+python -m tests.bench.curve FOLDER GRAPH --batch 4 --seconds 1
+
+Prints the milliseconds of one forecast of a batch.
+"""
+
+import argparse
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from tests.bench.bare import opened
+from tests.bench.harness import CORES, MODEL, ROOT
+from tests.bench.payloads import frames
+
+Graph = Literal["encoder", "step"]
+GRAPHS: tuple[Graph, ...] = ("encoder", "step")
+BATCHES = (1, 2, 4, 8, 16)
+PREAMBLE = f"""## Batches
+
+Milliseconds that one forecast of a batch takes in ONNX Runtime, one thread a process: one process
+alone, and as many side by side as there are cores ({CORES}). The scheduler encodes frames one
+request at a time and steps rollouts together, as these figures tell it to.
+"""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Milliseconds of one forecast of a batch."""
+
+    graph: Graph
+    processes: int
+    batch: int
+    ms: float
+
+
+def measure(seconds: float) -> list[Cost]:
+    """Measure every size on one core and on all."""
+    return [
+        Cost(graph, processes, batch, _alone_or_beside(graph, batch, processes, seconds / 5))
+        for graph in GRAPHS
+        for processes in sorted({1, CORES})
+        for batch in BATCHES
+    ]
+
+
+def rows(costs: list[Cost]) -> list[str]:
+    """Markdown table: a line for every graph and number of processes."""
+    lines = [f"| graph | processes | {' | '.join(map(str, BATCHES))} |"]
+    lines.append("|---" * (len(BATCHES) + 2) + "|")
+    for graph in GRAPHS:
+        for processes in sorted({cost.processes for cost in costs}):
+            wanted = [c for c in costs if (c.graph, c.processes) == (graph, processes)]
+            cells = " | ".join(f"{cost.ms:.3g}" for cost in wanted)
+            lines.append(f"| {graph} | {processes} | {cells} |")
+    return lines
+
+
+def draw(costs: list[Cost], path: Path) -> None:
+    """Draw the cost relative to a batch of one."""
+    figure = Figure(figsize=(6, 3.2), layout="constrained")
+    axes = figure.subplots()
+    for graph, style in zip(GRAPHS, ("-", "--"), strict=True):
+        for processes in sorted({cost.processes for cost in costs}):
+            wanted = [c for c in costs if (c.graph, c.processes) == (graph, processes)]
+            relative = [cost.ms / wanted[0].ms for cost in wanted]
+            axes.plot(BATCHES, relative, style, marker="o", label=f"{graph}, {processes} core(s)")
+    axes.set_xscale("log", base=2)
+    axes.set_xticks(BATCHES, [str(batch) for batch in BATCHES])
+    axes.set_ylim(0)
+    axes.set_xlabel("forecasts in a batch")
+    axes.set_ylabel("time a forecast, batch of one = 1")
+    axes.legend()
+    figure.savefig(path, metadata={"Software": None})
+
+
+def _alone_or_beside(graph: Graph, batch: int, processes: int, seconds: float) -> float:
+    command = [sys.executable, "-m", "tests.bench.curve", str(ROOT / "models" / MODEL / "1"), graph]
+    command += ["--batch", str(batch), "--seconds", str(seconds)]
+    running = [
+        subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        for _ in range(processes)
+    ]
+    return float(np.mean([float(process.communicate()[0]) for process in running]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("graph", choices=GRAPHS)
+    parser.add_argument("--batch", type=int, required=True)
+    parser.add_argument("--seconds", type=float, default=1)
+    given = parser.parse_args()
+    session = opened(given.folder / "encoder.onnx")
+    fed = {"frames": np.repeat(frames()[None], given.batch, axis=0)}
+    if given.graph == "step":
+        names = [one.name for one in session.get_outputs()]
+        found = dict(zip(names, session.run(None, fed), strict=True))
+        session = opened(given.folder / "step.onnx")
+        fed = {one.name: found[one.name] for one in session.get_inputs()}
+    session.run(None, fed)
+    times: list[float] = []
+    end = time.perf_counter() + given.seconds
+    while (begun := time.perf_counter()) < end:
+        session.run(None, fed)
+        times.append(time.perf_counter() - begun)
+    print(1e3 * float(np.median(times)) / given.batch)
+
+
+if __name__ == "__main__":
+    main()

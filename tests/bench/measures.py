@@ -1,0 +1,137 @@
+"""What is promised of the service, measured: every function returns lines of the report."""
+
+import time
+
+import httpx2
+import numpy as np
+import psutil
+
+from tests.bench.harness import CORES, MODEL, Finding, asked, asking, bare, median_ms, service
+from tests.bench.payloads import KINDS, Kind
+
+MIB = 2**20
+
+
+def one_at_a_time(address: str, rounds: int, seconds: float) -> list[Finding]:
+    """Difference of medians over HTTP and in the bare loop."""
+    over: dict[Kind, list[float]] = {"binary": [], "multipart": [], "json": []}
+    for _ in range(rounds):
+        plain, decoding = (median_ms(bare(seconds, *options)[0]) for options in ([], ["--decode"]))
+        for kind, found in over.items():
+            times, _ = asked(address, seconds, kind)
+            assert set(times) == {200}, times.keys()
+            found.append(median_ms(times[200]) - (plain if kind == "binary" else decoding))
+    limits: dict[Kind, float] = {"binary": 2.5, "multipart": 3, "json": 3}
+    return [
+        Finding(
+            f"one at a time, {kind}: p50 beyond the bare loop's"
+            + ("" if kind == "binary" else ", which decodes too"),
+            "ms", tuple(found), f"at most {limits[kind]:g}", lambda x, most=limits[kind]: x <= most,
+        )
+        for kind, found in over.items()
+    ]  # fmt: skip
+
+
+def throughput(address: str, rounds: int, seconds: float) -> list[Finding]:
+    """Answers a second at 16 connections relative to the bare loop on every core."""
+    shares: dict[Kind, list[float]] = {"binary": [], "multipart": []}
+    own: list[float] = []
+    for _ in range(rounds):
+        alone = sum(len(times) for times in bare(seconds, processes=CORES))
+        for kind, found in shares.items():
+            times, client = asked(address, seconds, kind, "--connections", "16")
+            assert set(times) == {200}, times.keys()
+            found.append(len(times[200]) / alone)
+            own.append(client)
+    findings = [
+        Finding(
+            f"16 connections, {kind}: answers relative to the bare loop on {CORES} cores", "",
+            tuple(found), f"at least {least:g}", lambda x, least=least: x >= least,
+        )
+        for (kind, found), least in zip(shares.items(), (0.85, 0.75), strict=True)
+    ]  # fmt: skip
+    told = Finding("the client's own share of a core", "", tuple(own), "told", lambda _: True)
+    return [*findings, told]
+
+
+def overload(rounds: int, seconds: float) -> list[Finding]:
+    """Twice as many requests as can be answered."""
+    with service(ROLLCAST_INFERENCE_QUEUE="4") as (address, _):
+        slower: list[float] = []
+        after: list[float] = []
+        for _ in range(rounds):
+            quiet, _ = asked(address, seconds / 4, "binary")
+            full, _ = asked(address, seconds / 4, "binary", "--connections", str(CORES))
+            rate = 2 * len(full[200]) / (seconds / 4)
+            loaded, _ = asked(address, seconds, "binary", "--rate", str(rate))
+            assert set(loaded) == {200, 429}, loaded.keys()
+            again, _ = asked(address, seconds / 4, "binary")
+            p99 = np.quantile(quiet[200], 0.99)
+            slower.append(float(np.quantile(loaded[200], 0.99) / p99))
+            after.append(float(np.median(again[200]) / np.median(quiet[200])))
+    return [
+        Finding(
+            "twice the capacity: p99 of accepted requests relative to the unloaded p99", "",
+            tuple(slower), "at most 3", lambda x: x <= 3,
+        ),
+        Finding(
+            "afterwards: p50 relative to before", "", tuple(after), "about 1", lambda x: x < 1.1
+        ),
+    ]  # fmt: skip
+
+
+def cold_start(rounds: int) -> Finding:
+    """Seconds from the start of the process to readiness."""
+    found: list[float] = []
+    for _ in range(rounds):
+        begun = time.perf_counter()
+        with service():
+            found.append(time.perf_counter() - begun)
+    return Finding(
+        "cold start to ready, all models", "s", tuple(found), "under 2.5", lambda x: x < 2.5
+    )
+
+
+def memory(address: str, process: psutil.Process, requests: int) -> list[Finding]:
+    """Resident memory over many requests of all kinds, simulations among them."""
+    part = requests // 10
+    resident: list[float] = []
+    for _ in range(10):
+        options = ("--kinds", *KINDS, "--simulate", "50", "--connections", "8")
+        with asking(address, *options, "--requests", str(part)) as answers:
+            pass
+        times, _ = answers()
+        assert set(times) == {200}, times.keys()
+        resident.append(process.memory_info().rss / MIB)
+    return [
+        Finding(
+            "resident memory of the process that answers, all models loaded", "MiB",
+            tuple(resident), "under 400", lambda x: x < 400,
+        ),
+        Finding(
+            f"its largest over {requests} mixed requests relative to that after the first {part}",
+            "", (max(resident) / resident[0],), "at most 1.05", lambda x: x <= 1.05,
+        ),
+    ]  # fmt: skip
+
+
+def reload(address: str, seconds: float) -> list[Finding]:
+    """Answers while the very model that answers is loaded again and again."""
+    quiet, _ = asked(address, seconds, "binary", "--connections", "4")
+    loads = 0
+    with asking(address, "--connections", "4", "--seconds", str(seconds)) as answers:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            httpx2.post(f"{address}/v2/repository/models/{MODEL}/load").raise_for_status()
+            loads += 1
+            time.sleep(1)
+    busy, _ = answers()
+    failed = sum(len(times) for status, times in busy.items() if status != 200)
+    slower = np.quantile(busy[200], 0.99) / np.quantile(quiet[200], 0.99)
+    return [
+        Finding(
+            f"{loads} loads of the model at 4 connections: requests that failed", "",
+            (float(failed),), "0", lambda x: x == 0,
+        ),
+        Finding("p99 meanwhile relative to before", "", (float(slower),), "told", lambda _: True),
+    ]  # fmt: skip
