@@ -8,8 +8,9 @@ UV_VERSION := 0.13.9
 
 # Tests in these folders run where torch cannot be imported; all others run in .venv/test.
 TORCH_FREE_TESTS := $(wildcard tests/service tests/contract)
-# Other people's clients have an environment of their own.
+# Other people's clients have an environment of their own, and so has every framework of make bench.
 PROTOCOL_TESTS := tests/protocol
+PEERS := peer-fastapi peer-litserve peer-bentoml peer-ray
 
 export PYTHON
 export TORCH_INSTALL_ARGS
@@ -50,7 +51,7 @@ test: environments lint
 
 bench:
 	@tools/environment.sh service
-	@tools/environment.sh bench
+	@for name in bench $(PEERS); do tools/environment.sh $$name || exit 1; done
 	@.venv/bench/bin/python -m tests.bench.run $(BENCH_ARGS)
 
 lint:
@@ -86,7 +87,8 @@ lock:
 		--output-file requirements/service-test.txt
 	$(UV_COMPILE) --extra bench --constraint requirements/test.txt \
 		--output-file requirements/bench.txt
-	$(UV_COMPILE:pyproject.toml=) --group pyproject.toml:protocol --output-file requirements/protocol.txt
+	$(foreach name,protocol $(PEERS),$(UV_COMPILE:pyproject.toml=) \
+		--group pyproject.toml:$(name) --output-file requirements/$(name).txt &&) true
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist *.egg-info

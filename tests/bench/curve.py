@@ -1,6 +1,6 @@
 """What a forecast costs in a batch: encoder and step at several sizes, on one core and on all.
 
-python -m tests.bench.curve FOLDER GRAPH --batch 4 --seconds 1
+python -m tests.bench.curve GRAPH --batch 4 --seconds 1
 
 Prints the milliseconds of one forecast of a batch.
 """
@@ -16,8 +16,7 @@ from typing import Literal
 import numpy as np
 from matplotlib.figure import Figure
 
-from tests.bench.bare import opened
-from tests.bench.harness import CORES, MODEL, ROOT
+from tests.bench.loop import CORES, ROOT, opened
 from tests.bench.payloads import frames
 
 Graph = Literal["encoder", "step"]
@@ -82,7 +81,7 @@ def draw(costs: list[Cost], path: Path) -> None:
 
 
 def _alone_or_beside(graph: Graph, batch: int, processes: int, seconds: float) -> float:
-    command = [sys.executable, "-m", "tests.bench.curve", str(ROOT / "models" / MODEL / "1"), graph]
+    command = [sys.executable, "-m", "tests.bench.curve", graph]
     command += ["--batch", str(batch), "--seconds", str(seconds)]
     running = [
         subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
@@ -93,17 +92,16 @@ def _alone_or_beside(graph: Graph, batch: int, processes: int, seconds: float) -
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
     parser.add_argument("graph", choices=GRAPHS)
     parser.add_argument("--batch", type=int, required=True)
     parser.add_argument("--seconds", type=float, default=1)
     given = parser.parse_args()
-    session = opened(given.folder / "encoder.onnx")
+    session = opened("encoder")
     fed = {"frames": np.repeat(frames()[None], given.batch, axis=0)}
     if given.graph == "step":
         names = [one.name for one in session.get_outputs()]
         found = dict(zip(names, session.run(None, fed), strict=True))
-        session = opened(given.folder / "step.onnx")
+        session = opened("step")
         fed = {one.name: found[one.name] for one in session.get_inputs()}
     session.run(None, fed)
     times: list[float] = []

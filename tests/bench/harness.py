@@ -1,26 +1,21 @@
 """What the benchmarks share: the real service, the bare loop, the client, lines of the report."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import psutil
 
 from rollcast.client import Client
 from tests.bench.load import Times
+from tests.bench.loop import ROOT
 from tests.bench.payloads import Kind
 from tests.e2e.conftest import start_service, wait_until_ready
-
-ROOT = Path(__file__).resolve().parents[2]
-MODEL = "fieldnet"
-CORES = len(os.sched_getaffinity(0))
 
 
 @dataclass(frozen=True)
@@ -54,7 +49,7 @@ def service(**settings: str) -> Iterator[tuple[str, psutil.Process]]:
 
 def bare(seconds: float, *options: str, processes: int = 1) -> list[list[float]]:
     """Times of the bare loop's forecasts, of every process."""
-    command = [sys.executable, "-m", "tests.bench.bare", MODEL, "--seconds", str(seconds), *options]
+    command = [sys.executable, "-m", "tests.bench.bare", "--seconds", str(seconds), *options]
     running = [
         subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         for _ in range(processes)
@@ -73,7 +68,7 @@ def asked(address: str, seconds: float, kind: Kind, *options: str) -> tuple[Time
 @contextmanager
 def asking(address: str, *options: str) -> Iterator[Callable[[], tuple[Times, float]]]:
     """Run the client meanwhile; what is yielded tells afterwards what it saw, and its own time."""
-    command = [sys.executable, "-m", "tests.bench.load", address, MODEL, *options]
+    command = [sys.executable, "-m", "tests.bench.load", address, *options]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
     found: list[tuple[Times, float]] = []
     yield lambda: found[0]

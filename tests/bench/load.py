@@ -1,8 +1,8 @@
 """The client of all benchmarks: connections that ask without a pause, or requests at a fixed rate.
 
-python -m tests.bench.load URL MODEL --kinds binary --connections 16 --seconds 5
-python -m tests.bench.load URL MODEL --kinds binary json --simulate 50 --requests 2000
-python -m tests.bench.load URL MODEL --rate 300 --seconds 60
+python -m tests.bench.load URL --kinds binary --connections 16 --seconds 5
+python -m tests.bench.load URL --kinds binary json --simulate 50 --requests 2000
+python -m tests.bench.load URL --rate 300 --seconds 60
 
 Prints as JSON the times of the answers by status, and this program's own processor time.
 """
@@ -83,8 +83,7 @@ async def load(
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("url")
-    parser.add_argument("model")
-    parser.add_argument("--kinds", choices=KINDS, nargs="+", default=["binary"])
+    parser.add_argument("--kinds", choices=[*KINDS, "listed"], nargs="+", default=["binary"])
     parser.add_argument("--simulate", type=int, metavar="N", help="every Nth is a simulation")
     parser.add_argument("--connections", type=int, default=1)
     parser.add_argument("--rate", type=float, help="requests a second")
@@ -94,7 +93,7 @@ def main() -> None:
     if given.seconds is None and given.requests is None:
         parser.error("how long? --seconds or --requests")
     images = frames()
-    forecasts = [payload(kind, given.model, images) for kind in given.kinds]
+    forecasts = [payload(kind, images) for kind in given.kinds]
     asyncio.run(load(given.url, forecasts, 0.3, connections=1))
     requests = forecasts
     if given.simulate is not None:

@@ -6,7 +6,8 @@ import httpx2
 import numpy as np
 import psutil
 
-from tests.bench.harness import CORES, MODEL, Finding, asked, asking, bare, median_ms, service
+from tests.bench.harness import Finding, asked, asking, bare, median_ms, service
+from tests.bench.loop import CORES, MODEL
 from tests.bench.payloads import KINDS, Kind
 
 MIB = 2**20

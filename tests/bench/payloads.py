@@ -10,10 +10,11 @@ import numpy as np
 from PIL import Image
 
 from rollcast.simulation import Simulator
+from tests.bench.loop import HORIZON, MODEL
 
-HORIZON = 40
-Kind = Literal["binary", "multipart", "json"]
+Kind = Literal["binary", "multipart", "json", "listed"]
 KINDS: tuple[Kind, ...] = ("binary", "multipart", "json")
+"""That the service reads; "listed" is JSON inside a list, as BentoML's batches want it."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +43,16 @@ def png_files(images: np.ndarray) -> list[bytes]:
     return [file.getvalue() for file in files]
 
 
-def payload(kind: Kind, model: str, images: np.ndarray) -> Payload:
+def payload(kind: Kind, images: np.ndarray) -> Payload:
     """Make the request for a forecast of HORIZON steps."""
     if kind == "binary":
-        return _binary(model, images)
-    if kind == "json":
-        encoded = [base64.b64encode(file).decode() for file in png_files(images)]
-        body = json.dumps({"model": model, "frames": encoded, "horizon": HORIZON}).encode()
-        return Payload("/predict", {"Content-Type": "application/json"}, body)
-    return _multipart(model, images)
+        return _binary(images)
+    if kind == "multipart":
+        return _multipart(images)
+    encoded = [base64.b64encode(file).decode() for file in png_files(images)]
+    asked = {"model": MODEL, "frames": encoded, "horizon": HORIZON}
+    body = json.dumps({"requests": [asked]} if kind == "listed" else asked).encode()
+    return Payload("/predict", {"Content-Type": "application/json"}, body)
 
 
 def simulation() -> Payload:
@@ -59,7 +61,7 @@ def simulation() -> Payload:
     return Payload("/simulate", {"Content-Type": "application/json"}, body)
 
 
-def _binary(model: str, images: np.ndarray) -> Payload:
+def _binary(images: np.ndarray) -> Payload:
     tensor = images[None].tobytes()
     header = json.dumps(
         {
@@ -79,12 +81,12 @@ def _binary(model: str, images: np.ndarray) -> Payload:
         "Content-Type": "application/octet-stream",
         "Inference-Header-Content-Length": str(len(header)),
     }
-    return Payload(f"/v2/models/{model}/infer", headers, header + tensor)
+    return Payload(f"/v2/models/{MODEL}/infer", headers, header + tensor)
 
 
-def _multipart(model: str, images: np.ndarray) -> Payload:
+def _multipart(images: np.ndarray) -> Payload:
     boundary = "rollcast-benchmark"
-    parts = [("model", "", model.encode()), ("horizon", "", str(HORIZON).encode())]
+    parts = [("model", "", MODEL.encode()), ("horizon", "", str(HORIZON).encode())]
     parts += [("frames", '; filename="frame.png"', file) for file in png_files(images)]
     lines = [
         f'--{boundary}\r\nContent-Disposition: form-data; name="{name}"{more}\r\n\r\n'.encode()

@@ -8,8 +8,9 @@ cores, one after the other.
 
 import argparse
 
-from tests.bench import curve, measures
-from tests.bench.harness import CORES, MODEL, ROOT, service
+from tests.bench import comparison, curve, measures
+from tests.bench.harness import service
+from tests.bench.loop import CORES, MODEL, ROOT
 
 PAGE = ROOT / "docs" / "benchmarks.md"
 PICTURE = ROOT / "docs" / "results" / "batches.png"
@@ -39,7 +40,18 @@ def main() -> None:
     table += [finding.row() for finding in findings]
     costs = curve.measure(given.seconds)
     curve.draw(costs, PICTURE)
-    parts = [PREAMBLE, *table, "", curve.PREAMBLE, *curve.rows(costs), ""]
+    loads = comparison.measure(max(given.rounds // 2, 1), given.seconds)
+    parts = [
+        PREAMBLE,
+        *table,
+        "",
+        comparison.PREAMBLE,
+        *comparison.rows(loads),
+        "",
+        curve.PREAMBLE,
+        *curve.rows(costs),
+        "",
+    ]
     parts += [f"![What a forecast costs in a batch]({PICTURE.relative_to(PAGE.parent)})", ""]
     print("\n".join(parts))
     PAGE.write_text("\n".join(parts), encoding="utf-8")

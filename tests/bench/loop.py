@@ -1,0 +1,61 @@
+"""The bare loop itself: ONNX Runtime, numpy and Pillow, nothing of Rollcast around them.
+
+The benchmarks' programs of other serving frameworks are made of it too.
+"""
+
+import io
+import os
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import onnxruntime
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[2]
+MODEL = "fieldnet"
+HORIZON = 40
+CORES = len(os.sched_getaffinity(0))
+OUTPUTS = ("positions", "covariances", "angular_velocities")
+
+
+def opened(graph: Literal["encoder", "step"]) -> onnxruntime.InferenceSession:
+    """Open a graph of MODEL on one thread."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    path = ROOT / "models" / MODEL / "1" / f"{graph}.onnx"
+    return onnxruntime.InferenceSession(path, options, ["CPUExecutionProvider"])
+
+
+class BareLoop:
+    """Encoder once, step HORIZON - 1 times; one thread."""
+
+    def __init__(self) -> None:
+        self._encoder = opened("encoder")
+        self._step = opened("step")
+        self._state = [one.name for one in self._step.get_inputs()]
+        self._first = [one.name for one in self._encoder.get_outputs()]
+        self._next = [one.name for one in self._step.get_outputs()]
+
+    def forecast(self, images: np.ndarray) -> list[dict[str, np.ndarray]]:
+        """Outputs [B, N, ...] of every step from frames [B, 4, 128, 128, 3]."""
+        found = dict(zip(self._first, self._encoder.run(None, {"frames": images}), strict=True))
+        steps = [found]
+        state = {name: found[name] for name in self._state}
+        for _ in range(HORIZON - 1):
+            found = dict(zip(self._next, self._step.run(None, state), strict=True))
+            steps.append(found)
+            state = {name: found[f"next_{name}"] for name in self._state}
+        return steps
+
+
+def decoded(files: list[bytes]) -> np.ndarray:
+    """Frames of PNG files."""
+    return np.stack([np.asarray(Image.open(io.BytesIO(file))) for file in files])
+
+
+def stacked(steps: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Every output [B, N, HORIZON, ...] of a forecast."""
+    return {name: np.stack([step[name] for step in steps], axis=2) for name in OUTPUTS}
