@@ -24,7 +24,7 @@ from service.images import decode_frames
 from service.metrics import Metrics
 from service.registry import Registry, Wish
 from service.rollout import Forecast, Outputs, assemble, stacked
-from service.scheduler import Begun
+from service.scheduler import Seen
 from service.stages import Stages
 
 RATE_TOLERANCE = 0.05
@@ -52,8 +52,8 @@ class _Forecast:
         self._side = 0
         self._horizon = 0
 
-    def begin(self) -> Begun:
-        """Choose the model, decode the frames and encode them.
+    def begin(self) -> Seen:
+        """Choose the model and decode the frames.
 
         Raises
         ------
@@ -69,9 +69,12 @@ class _Forecast:
         self._horizon = _horizon(request, predictor.manifest)
         frames, self._side = _decode(request)
         self._stages.next()
-        first = predictor.encode(frames[None])
-        self._stages.next()
-        return Begun(predictor, first, self._horizon)
+        return Seen(predictor, frames[None], self._horizon)
+
+    def step(self, index: int, outputs: Outputs) -> None:  # noqa: ARG002
+        """Note when the first step is there: the frames are encoded."""
+        if index == 0:
+            self._stages.next()
 
     def forecast(self, outputs: Outputs, first_step: int) -> Forecast:
         """Turn stacked outputs into a forecast in the units of the user's frames."""
@@ -107,8 +110,9 @@ class WholeForecast(_Forecast):
         super().__init__(parse, registry, metrics)
         self._steps: list[Outputs] = []
 
-    def step(self, index: int, outputs: Outputs) -> None:  # noqa: ARG002
+    def step(self, index: int, outputs: Outputs) -> None:
         """Keep a step's outputs."""
+        super().step(index, outputs)
         self._steps.append(outputs)
 
     def finish(self) -> str:
@@ -156,6 +160,7 @@ class StreamedForecast(_Forecast):
         service.errors.DivergedError
             When a number is not finite.
         """
+        super().step(index, outputs)
         forecast = self.forecast(stacked([outputs]), first_step=index)
         if index == 0:
             self._final = forecast.final_positions

@@ -1,33 +1,39 @@
-"""Forecasts on a few threads: frames are encoded one request at a time, rollouts step together.
+"""Forecasts on a few threads: what waits is encoded together, and rollouts step together.
 
 A thread takes what is there in this order: answers to write, frames to encode, a rollout to lead.
-Whoever leads a model's rollout steps all requests that have joined it, so while frames wait the
-next rollout grows, and the price of a step is shared. A request joins and leaves between two steps.
+Threads share the waiting frames out, a few in one batch. Whoever leads a model's rollout steps all
+requests that have joined it, so while frames wait the next rollout grows, and the price of a step
+is shared. A request joins and leaves between two steps.
 """
 
+import math
 import threading
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from jaxtyping import UInt8
 from prometheus_client import Gauge
 
-from service.rollout import Arrays, Outputs, Predictor, Step
+from service.rollout import Arrays, Outputs, Predictor
 from service.waiting import Patience
 from service.workers import Places
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
 
+ENCODED_TOGETHER = 4
+"""Requests whose frames are encoded in one batch: more gain nothing (docs/benchmarks.md)."""
 
-class Begun(NamedTuple):
-    """A request whose frames are encoded."""
+
+class Seen(NamedTuple):
+    """A request whose frames are decoded."""
 
     predictor: Predictor
-    first: Step
+    frames: UInt8[np.ndarray, "B K 128 128 3"]
     horizon: int
 
 
@@ -37,12 +43,12 @@ class Job(Protocol[T_co]):
     Whatever a method raises becomes the answer.
     """
 
-    def begin(self) -> Begun:
-        """Decode and encode the frames."""
+    def begin(self) -> Seen:
+        """Choose the model and decode the frames."""
         ...
 
     def step(self, index: int, outputs: Outputs) -> None:
-        """Take the outputs [B, N, ...] of a step, the first included."""
+        """Take the outputs [B, N, ...] of a step; the first come with the encoded frames."""
         ...
 
     def finish(self) -> T_co:
@@ -66,18 +72,21 @@ class _Member(Generic[T]):
         """Whether it has all its steps."""
         return self.steps == self.horizon
 
-    def begin(self) -> Begun:
-        """Begin, and take the first step's outputs."""
-        self.patience.check()
-        begun = self.job.begin()
-        self.rows, self.horizon = len(begun.first.outputs["positions"]), begun.horizon
-        self.take(begun.first.outputs)
-        return begun
+    def begin(self) -> Seen | None:
+        """Begin; None when that was its end."""
+        seen: list[Seen] = []
 
-    def take(self, outputs: Outputs) -> None:
-        """Take the outputs of the next step."""
-        self.job.step(self.steps, outputs)
-        self.steps += 1
+        def begin() -> None:
+            self.patience.check()
+            seen.append(self.job.begin())
+            self.rows, self.horizon = len(seen[0].frames), seen[0].horizon
+
+        return seen[0] if self.guarded(begin) else None
+
+    def take(self, outputs: Outputs) -> bool:
+        """Take the outputs of the next step; return whether that went well."""
+        index, self.steps = self.steps, self.steps + 1
+        return self.guarded(lambda: self.job.step(index, outputs))
 
     def finish(self) -> None:
         """Make the answer."""
@@ -94,52 +103,47 @@ class _Member(Generic[T]):
 
 
 @dataclass(eq=False)
-class _Rollout:
-    """The requests that step together through one model."""
+class _Together:
+    """Requests whose states are the rows of one state, in their order."""
 
-    predictor: Predictor
-    count: Callable[[float], None]
-    members: list[_Member[Any]] = field(default_factory=list[_Member[Any]])
-    arrivals: list[tuple[_Member[Any], Arrays]] = field(
-        default_factory=list[tuple[_Member[Any], Arrays]]
-    )
-    led: bool = False
-    _state: Arrays = field(default_factory=dict[str, np.ndarray])
+    members: list[_Member[Any]]
+    state: Arrays
 
     @property
     def rows(self) -> int:
-        """Forecasts in it, those that join with the next step included."""
-        here = sum(member.rows for member in self.members)
-        return here + sum(member.rows for member, _ in self.arrivals)
+        """Forecasts in it."""
+        return sum(member.rows for member in self.members)
 
-    def join(self, arrived: list[tuple[_Member[Any], Arrays]]) -> None:
-        """Take requests in."""
-        for member, state in arrived:
-            if self.members:
-                known = self._state
-                state = {name: np.concatenate([known[name], state[name]]) for name in known}
-            self._state = state
-            self.members.append(member)
+    def join(self, others: "_Together") -> None:
+        """Take others in."""
+        if self.members:
+            known, new = self.state, others.state
+            self.state = {name: np.concatenate([known[name], new[name]]) for name in known}
+        else:
+            self.state = others.state
+        self.members = [*self.members, *others.members]
 
-    def advance(self) -> list[_Member[Any]]:
-        """Step all that somebody waits for; return those that have ended."""
-        self._keep([m for m in self.members if m.guarded(m.patience.check)])
-        if not self.members:
-            return []
-        self.count(sum(member.rows for member in self.members))
-        try:
-            step = self.predictor.advance(self._state)
-        except BaseException as error:  # whatever the runtime raises
-            for member in self.members:
-                member.future.set_exception(error)
-            self.members = []
-            return []
-        self._state = step.state
-        shares = zip(self.members, self._shares(step.outputs), strict=True)
-        going_on = [m for m, outputs in shares if m.guarded(lambda m=m, o=outputs: m.take(o))]
+    def take(self, outputs: Outputs) -> list[_Member[Any]]:
+        """Give every member its rows of a step's outputs; return those that have ended, let go."""
+        shares = zip(self.members, self._shares(outputs), strict=True)
+        going_on = [member for member, share in shares if member.take(share)]
         ended = [member for member in going_on if member.ended]
-        self._keep([member for member in going_on if not member.ended])
+        self.keep([member for member in going_on if not member.ended])
         return ended
+
+    def keep(self, kept: list[_Member[Any]]) -> None:
+        """Let go of all other members."""
+        if len(kept) == len(self.members):
+            return
+        stays = np.repeat([m in kept for m in self.members], [m.rows for m in self.members])
+        self.state = {name: values[stays] for name, values in self.state.items()}
+        self.members = kept
+
+    def fail(self, error: BaseException) -> None:
+        """Answer everybody with an error."""
+        for member in self.members:
+            member.future.set_exception(error)
+        self.members = []
 
     def _shares(self, outputs: Outputs) -> list[Outputs]:
         """Every member's rows of a step's outputs."""
@@ -149,13 +153,36 @@ class _Rollout:
         rows = [slice(end - m.rows, end) for m, end in zip(self.members, ends, strict=True)]
         return [{name: values[own] for name, values in outputs.items()} for own in rows]
 
-    def _keep(self, kept: list[_Member[Any]]) -> None:
-        """Let go of all other members."""
-        if len(kept) == len(self.members):
-            return
-        stays = np.repeat([m in kept for m in self.members], [m.rows for m in self.members])
-        self._state = {name: values[stays] for name, values in self._state.items()}
-        self.members = kept
+
+@dataclass(eq=False)
+class _Rollout:
+    """The requests that step together through one model."""
+
+    predictor: Predictor
+    count: Callable[[float], None]
+    here: _Together = field(default_factory=lambda: _Together([], {}))
+    arrivals: list[_Together] = field(default_factory=list[_Together])
+    led: bool = False
+
+    @property
+    def rows(self) -> int:
+        """Forecasts in it, those that join with the next step included."""
+        return self.here.rows + sum(arrived.rows for arrived in self.arrivals)
+
+    def advance(self) -> list[_Member[Any]]:
+        """Step all that somebody waits for; return those that have ended."""
+        here = self.here
+        here.keep([m for m in here.members if m.guarded(m.patience.check)])
+        if not here.members:
+            return []
+        self.count(here.rows)
+        try:
+            step = self.predictor.advance(here.state)
+        except BaseException as error:  # whatever the runtime raises
+            here.fail(error)
+            return []
+        here.state = step.state
+        return here.take(step.outputs)
 
 
 class Scheduler:
@@ -259,37 +286,58 @@ class Scheduler:
             return self._ended.popleft().finish
         free = [rollout for rollout in self._rollouts.values() if not rollout.led]
         full = [rollout for rollout in free if rollout.rows >= self._max_batch]
-        while self._waiting and not full:
-            member = self._waiting.popleft()
-            if member.future.set_running_or_notify_cancel():
-                return lambda: self._begin(member)
+        if self._waiting and not full:
+            room = self._max_batch - max((rollout.rows for rollout in free), default=0)
+            members = self._next_waiting(room)
+            return lambda: self._begin(members)
         if not free:
             return None
         chosen = (full or free)[0]
         chosen.led = True
         return lambda: self._lead(chosen)
 
-    def _begin(self, member: _Member[Any]) -> None:
-        begun: list[Begun] = []
-        if not member.guarded(lambda: begun.append(member.begin())):
-            return
-        if member.ended:
-            member.finish()
-            return
-        predictor, first, _ = begun[0]
+    def _next_waiting(self, room: int) -> list[_Member[Any]]:
+        """Take a thread's share of what waits, under the lock, but not more than there is room."""
+        share = math.ceil(len(self._waiting) / len(self._threads))
+        taken = [self._waiting.popleft() for _ in range(min(share, ENCODED_TOGETHER, room))]
+        return [member for member in taken if member.future.set_running_or_notify_cancel()]
+
+    def _begin(self, members: list[_Member[Any]]) -> None:
+        """Encode the frames of some requests, those for one model in one batch."""
+        by_model: dict[Predictor, list[tuple[_Member[Any], Seen]]] = defaultdict(list)
+        for member in members:
+            seen = member.begin()
+            if seen is not None:
+                by_model[seen.predictor].append((member, seen))
+        for predictor, group in by_model.items():
+            together = _Together([member for member, _ in group], {})
+            frames = [seen.frames for _, seen in group]
+            try:
+                step = predictor.encode(frames[0] if len(frames) == 1 else np.concatenate(frames))
+            except BaseException as error:  # whatever the runtime raises
+                together.fail(error)
+                continue
+            together.state = step.state
+            for member in together.take(step.outputs):
+                member.finish()
+            if together.members:
+                self._arrive(predictor, together)
+
+    def _arrive(self, predictor: Predictor, together: _Together) -> None:
+        """Let requests join the rollout of their model with its next step."""
         with self._lock:
             if predictor not in self._rollouts:
                 self._rollouts[predictor] = _Rollout(predictor, self._batches(predictor))
-            rollout = self._rollouts[predictor]
-            rollout.arrivals.append((member, first.state))
+            self._rollouts[predictor].arrivals.append(together)
 
     def _lead(self, rollout: _Rollout) -> None:
         """Step a rollout until nobody is left in it, or nobody else can write its answers."""
         while True:
             with self._lock:
-                arrived, rollout.arrivals = rollout.arrivals, []
-                rollout.join(arrived)
-                if not rollout.members:
+                for arrived in rollout.arrivals:
+                    rollout.here.join(arrived)
+                rollout.arrivals = []
+                if not rollout.here.members:
                     del self._rollouts[rollout.predictor]
                     return
             ended = rollout.advance()
@@ -300,7 +348,7 @@ class Scheduler:
         """Leave answers to threads that rest; return whether the rollout is still to be led."""
         with self._lock:
             self._ended.extend(ended)
-            if self._resting and (rollout.members or rollout.arrivals):
+            if self._resting and (rollout.here.members or rollout.arrivals):
                 self._wake(len(ended))
                 return True
             # Who leads no more writes an answer next.

@@ -25,7 +25,7 @@ _STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
-_LINES = ("-", "--", ":")
+_LINES = ("-", "--", ":", "-.")
 """Styles that tell methods apart once the colours are used up."""
 _BASELINE_STYLES = {"stays put": ":", "line": "--"}
 
@@ -35,15 +35,17 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(6.4, 3.4), layout="constrained")
         axes = figure.subplots()
-        colours = iter(PALETTE)
+        methods = [curve.method for curve in curves if curve.method not in _BASELINE_STYLES]
         for curve in curves:
             low, middle, high = curve.quartiles_px
             steps = np.arange(1, len(middle) + 1)
             baseline = _BASELINE_STYLES.get(curve.method)
-            colour = "#666666" if baseline else next(colours)
-            axes.plot(steps, middle, baseline or "-", color=colour, label=curve.method)
-            if not baseline:
-                axes.fill_between(steps, low, high, color=colour, alpha=0.2, linewidth=0)
+            if baseline:
+                axes.plot(steps, middle, baseline, color="#666666", label=curve.method)
+                continue
+            style, colour = _look(methods.index(curve.method))
+            axes.plot(steps, middle, style, color=colour, label=curve.method)
+            axes.fill_between(steps, low, high, color=colour, alpha=0.15, linewidth=0)
         trained = {c.trained_horizon for c in curves if c.trained_horizon is not None}
         for horizon in trained:
             axes.axvline(horizon, color="#bbbbbb", linewidth=1, zorder=0)
@@ -53,6 +55,12 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
         )  # fmt: skip
         axes.legend(frameon=False, ncols=2)
         figure.savefig(path, metadata={"Software": None})
+
+
+def _look(index: int) -> tuple[str, str]:
+    """Line style and colour of a method."""
+    rounds, place = divmod(index, len(PALETTE))
+    return _LINES[rounds], PALETTE[place]
 
 
 def draw_calibration(curves: Sequence[Curve], path: Path) -> None:
@@ -68,15 +76,18 @@ def draw_calibration(curves: Sequence[Curve], path: Path) -> None:
             for curve in measured:
                 if curve.scenario == scenario:
                     assert curve.coverage is not None
-                    rounds, place = divmod(methods.index(curve.method), len(PALETTE))
-                    axes.plot(
-                        LEVELS, curve.coverage, _LINES[rounds], color=PALETTE[place],
-                        label=curve.method,
-                    )  # fmt: skip
+                    style, colour = _look(methods.index(curve.method))
+                    axes.plot(LEVELS, curve.coverage, style, color=colour, label=curve.method)
             axes.set(xlabel="share that the ellipse should hold", xlim=(0, 1), ylim=(0, 1))
             axes.set_title(scenario)
-            axes.legend(frameon=False, fontsize=7)
         panels[0].set_ylabel("share of truths inside")
+        drawn = [axes.get_legend_handles_labels() for axes in panels]
+        lines = {name: line for parts in drawn for line, name in zip(*parts, strict=True)}
+        names = [name for name in methods if name in lines]
+        figure.legend(
+            [lines[name] for name in names], names, loc="outside right upper", frameon=False,
+            fontsize=7,
+        )  # fmt: skip
         figure.suptitle("Calibration over all steps up to the trained horizon", fontsize=10)
         figure.savefig(path, metadata={"Software": None})
 

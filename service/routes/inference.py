@@ -18,7 +18,7 @@ from service.protocol import (
     ServerReady,
 )
 from service.rollout import Outputs, Predictor, assemble, stacked
-from service.scheduler import Begun
+from service.scheduler import Seen
 from service.stages import Stages
 from service.state import ServiceState, State
 from service.tensors import (
@@ -190,20 +190,20 @@ class Batch:
         self._stages = Stages(service.metrics)
         self._steps: list[Outputs] = []
 
-    def begin(self) -> Begun:
-        """Parse the body and encode the frames."""
+    def begin(self) -> Seen:
+        """Parse the body."""
         self._stages.next()
         text, binary = split(self._body, self._length)
         request = parse_json(text, InferRequest)
         most = self._service.settings.max_batch
         self._query = read_query(request, binary, self._predictor.manifest, most)
         self._stages.next()
-        first = self._predictor.encode(self._query.frames)
-        self._stages.next()
-        return Begun(self._predictor, first, self._query.horizon)
+        return Seen(self._predictor, self._query.frames, self._query.horizon)
 
-    def step(self, index: int, outputs: Outputs) -> None:  # noqa: ARG002
+    def step(self, index: int, outputs: Outputs) -> None:
         """Keep a step's outputs."""
+        if index == 0:
+            self._stages.next()
         self._steps.append(outputs)
 
     def finish(self) -> Message:

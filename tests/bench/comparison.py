@@ -16,7 +16,7 @@ from typing import Any
 import httpx2
 import numpy as np
 
-from tests.bench.harness import asked, service
+from tests.bench.harness import Heard, asked, service
 from tests.bench.loop import CORES, MODEL, ROOT
 from tests.bench.payloads import Kind, frames, payload
 
@@ -54,13 +54,11 @@ PEERS = (
 
 @dataclass(frozen=True)
 class Load:
-    """What a framework did with a load: answers a second, p99 in seconds, failures."""
+    """What a client heard of a framework."""
 
     name: str
     connections: int
-    rate: float
-    p99: float
-    failures: int
+    heard: Heard
 
 
 def measure(rounds: int, seconds: float) -> list[Load]:
@@ -88,9 +86,9 @@ def rows(loads: list[Load]) -> list[str]:
             for connections in CONNECTIONS
             for ratio in _ratios(loads, name, connections)
         ]
-        failures = sum(load.failures for load in loads if load.name == name)
+        failures = sum(load.heard.failures for load in loads if load.name == name)
         lines.append(f"| {name} | {' | '.join(cells)} | {failures} |")
-    failures = sum(load.failures for load in loads if load.name == OURS)
+    failures = sum(load.heard.failures for load in loads if load.name == OURS)
     lines.append(f"| {OURS} {'| 1 ' * len(heads)}| {failures} |")
     return lines
 
@@ -100,8 +98,9 @@ def _ratios(loads: list[Load], name: str, connections: int) -> tuple[float, floa
     theirs = [one for one in loads if (one.name, one.connections) == (name, connections)]
     ours = [one for one in loads if (one.name, one.connections) == (OURS, connections)]
     pairs = list(zip(theirs, ours, strict=True))
-    rate = float(np.median([one.rate / other.rate for one, other in pairs]))
-    return rate, float(np.median([one.p99 / other.p99 for one, other in pairs]))
+    rates = [one.heard.rate / other.heard.rate for one, other in pairs]
+    p99s = [one.heard.quantile(0.99) / other.heard.quantile(0.99) for one, other in pairs]
+    return float(np.median(rates)), float(np.median(p99s))
 
 
 def _loads(name: str, address: str, kind: Kind, seconds: float) -> list[Load]:
@@ -109,11 +108,13 @@ def _loads(name: str, address: str, kind: Kind, seconds: float) -> list[Load]:
     for connections in CONNECTIONS:
         # A load before the measured one: adaptive batching learns from what it sees.
         asked(address, seconds / 2, kind, "--connections", str(connections))
-        times, _ = asked(address, seconds, kind, "--connections", str(connections))
-        answered = times.get(200, [])
-        failures = sum(len(of_status) for of_status in times.values()) - len(answered)
-        p99 = float(np.quantile(answered, 0.99)) if answered else float("inf")
-        found.append(Load(name, connections, len(answered) / seconds, p99, failures))
+        found.append(
+            Load(
+                name,
+                connections,
+                asked(address, seconds, kind, "--connections", str(connections)),
+            )
+        )
     return found
 
 

@@ -57,24 +57,45 @@ def bare(seconds: float, *options: str, processes: int = 1) -> list[list[float]]
     return [json.loads(process.communicate()[0]) for process in running]
 
 
-def asked(address: str, seconds: float, kind: Kind, *options: str) -> tuple[Times, float]:
-    """Times of the service's answers by status, and the client's own share of a core."""
-    with asking(address, "--kinds", kind, "--seconds", str(seconds), *options) as answers:
-        pass
-    times, client_s = answers()
-    return times, client_s / seconds
+@dataclass(frozen=True)
+class Heard:
+    """What a client heard: times of answers by status, time until the last one, its own time."""
+
+    times: Times
+    wall_s: float
+    client_s: float
+
+    @property
+    def rate(self) -> float:
+        """Answers a second."""
+        return len(self.times.get(200, [])) / self.wall_s
+
+    @property
+    def failures(self) -> int:
+        """Answers that are not 200."""
+        return sum(len(times) for status, times in self.times.items() if status != 200)
+
+    def quantile(self, share: float) -> float:
+        """Seconds within which such a share of the answers came."""
+        return float(np.quantile(self.times.get(200, [np.inf]), share))
 
 
-@contextmanager
-def asking(address: str, *options: str) -> Iterator[Callable[[], tuple[Times, float]]]:
-    """Run the client meanwhile; what is yielded tells afterwards what it saw, and its own time."""
+def ask(address: str, *options: str) -> subprocess.Popen[str]:
+    """Start the client; :func:`heard` waits for it."""
     command = [sys.executable, "-m", "tests.bench.load", address, *options]
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
-    found: list[tuple[Times, float]] = []
-    yield lambda: found[0]
-    told = json.loads(process.communicate()[0])
+    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+
+
+def heard(client: subprocess.Popen[str]) -> Heard:
+    """Wait for a client to end; return what it heard."""
+    told = json.loads(client.communicate()[0])
     times = {int(status): values for status, values in told["times_s"].items()}
-    found.append((times, told["client_s"]))
+    return Heard(times, told["wall_s"], told["client_s"])
+
+
+def asked(address: str, seconds: float, kind: Kind, *options: str) -> Heard:
+    """Run the client for some seconds; return what it heard."""
+    return heard(ask(address, "--kinds", kind, "--seconds", str(seconds), *options))
 
 
 def median_ms(times: Sequence[float]) -> float:

@@ -3,10 +3,9 @@
 import time
 
 import httpx2
-import numpy as np
 import psutil
 
-from tests.bench.harness import Finding, asked, asking, bare, median_ms, service
+from tests.bench.harness import Finding, ask, asked, bare, heard, median_ms, service
 from tests.bench.loop import CORES, MODEL
 from tests.bench.payloads import KINDS, Kind
 
@@ -19,9 +18,9 @@ def one_at_a_time(address: str, rounds: int, seconds: float) -> list[Finding]:
     for _ in range(rounds):
         plain, decoding = (median_ms(bare(seconds, *options)[0]) for options in ([], ["--decode"]))
         for kind, found in over.items():
-            times, _ = asked(address, seconds, kind)
-            assert set(times) == {200}, times.keys()
-            found.append(median_ms(times[200]) - (plain if kind == "binary" else decoding))
+            answers = asked(address, seconds, kind)
+            assert not answers.failures, answers.times.keys()
+            found.append(1e3 * answers.quantile(0.5) - (plain if kind == "binary" else decoding))
     limits: dict[Kind, float] = {"binary": 2.5, "multipart": 3, "json": 3}
     return [
         Finding(
@@ -38,12 +37,12 @@ def throughput(address: str, rounds: int, seconds: float) -> list[Finding]:
     shares: dict[Kind, list[float]] = {"binary": [], "multipart": []}
     own: list[float] = []
     for _ in range(rounds):
-        alone = sum(len(times) for times in bare(seconds, processes=CORES))
+        alone = sum(len(times) for times in bare(seconds, processes=CORES)) / seconds
         for kind, found in shares.items():
-            times, client = asked(address, seconds, kind, "--connections", "16")
-            assert set(times) == {200}, times.keys()
-            found.append(len(times[200]) / alone)
-            own.append(client)
+            answers = asked(address, seconds, kind, "--connections", "16")
+            assert not answers.failures, answers.times.keys()
+            found.append(answers.rate / alone)
+            own.append(answers.client_s / answers.wall_s)
     findings = [
         Finding(
             f"16 connections, {kind}: answers relative to the bare loop on {CORES} cores", "",
@@ -61,15 +60,13 @@ def overload(rounds: int, seconds: float) -> list[Finding]:
         slower: list[float] = []
         after: list[float] = []
         for _ in range(rounds):
-            quiet, _ = asked(address, seconds / 4, "binary")
-            full, _ = asked(address, seconds / 4, "binary", "--connections", str(CORES))
-            rate = 2 * len(full[200]) / (seconds / 4)
-            loaded, _ = asked(address, seconds, "binary", "--rate", str(rate))
-            assert set(loaded) == {200, 429}, loaded.keys()
-            again, _ = asked(address, seconds / 4, "binary")
-            p99 = np.quantile(quiet[200], 0.99)
-            slower.append(float(np.quantile(loaded[200], 0.99) / p99))
-            after.append(float(np.median(again[200]) / np.median(quiet[200])))
+            quiet = asked(address, seconds / 4, "binary")
+            full = asked(address, seconds / 4, "binary", "--connections", str(CORES))
+            loaded = asked(address, seconds, "binary", "--rate", str(2 * full.rate))
+            assert set(loaded.times) == {200, 429}, loaded.times.keys()
+            again = asked(address, seconds / 4, "binary")
+            slower.append(loaded.quantile(0.99) / quiet.quantile(0.99))
+            after.append(again.quantile(0.5) / quiet.quantile(0.5))
     return [
         Finding(
             "twice the capacity: p99 of accepted requests relative to the unloaded p99", "",
@@ -99,10 +96,8 @@ def memory(address: str, process: psutil.Process, requests: int) -> list[Finding
     resident: list[float] = []
     for _ in range(10):
         options = ("--kinds", *KINDS, "--simulate", "50", "--connections", "8")
-        with asking(address, *options, "--requests", str(part)) as answers:
-            pass
-        times, _ = answers()
-        assert set(times) == {200}, times.keys()
+        answers = heard(ask(address, *options, "--requests", str(part)))
+        assert not answers.failures, answers.times.keys()
         resident.append(process.memory_info().rss / MIB)
     return [
         Finding(
@@ -118,21 +113,20 @@ def memory(address: str, process: psutil.Process, requests: int) -> list[Finding
 
 def reload(address: str, seconds: float) -> list[Finding]:
     """Answers while the very model that answers is loaded again and again."""
-    quiet, _ = asked(address, seconds, "binary", "--connections", "4")
+    quiet = asked(address, seconds, "binary", "--connections", "4")
+    client = ask(address, "--connections", "4", "--seconds", str(seconds))
     loads = 0
-    with asking(address, "--connections", "4", "--seconds", str(seconds)) as answers:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            httpx2.post(f"{address}/v2/repository/models/{MODEL}/load").raise_for_status()
-            loads += 1
-            time.sleep(1)
-    busy, _ = answers()
-    failed = sum(len(times) for status, times in busy.items() if status != 200)
-    slower = np.quantile(busy[200], 0.99) / np.quantile(quiet[200], 0.99)
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        httpx2.post(f"{address}/v2/repository/models/{MODEL}/load").raise_for_status()
+        loads += 1
+        time.sleep(1)
+    busy = heard(client)
+    slower = busy.quantile(0.99) / quiet.quantile(0.99)
     return [
         Finding(
             f"{loads} loads of the model at 4 connections: requests that failed", "",
-            (float(failed),), "0", lambda x: x == 0,
+            (float(busy.failures),), "0", lambda x: x == 0,
         ),
-        Finding("p99 meanwhile relative to before", "", (float(slower),), "told", lambda _: True),
+        Finding("p99 meanwhile relative to before", "", (slower,), "told", lambda _: True),
     ]  # fmt: skip

@@ -9,7 +9,7 @@ from prometheus_client import Gauge
 
 from service.errors import QueueFullError
 from service.rollout import Step
-from service.scheduler import Begun, Scheduler
+from service.scheduler import Scheduler, Seen
 from service.waiting import ClientGoneError, Patience
 from tests.service import samples
 
@@ -23,8 +23,13 @@ class Counting:
 
     def __init__(self) -> None:
         self.batches: list[int] = []
+        self.encoded: list[int] = []
         self.gate = threading.Event()
         self.gate.set()
+
+    def encode(self, frames):
+        self.encoded.append(len(frames))
+        return self.step(frames)
 
     def advance(self, state):
         assert self.gate.wait(SECONDS)
@@ -47,7 +52,7 @@ class Count:
     def begin(self):
         if self.encoding is not None:
             assert self.encoding.wait(SECONDS)
-        return Begun(self.network, self.network.step(self.numbers), self.horizon)
+        return Seen(self.network, self.numbers, self.horizon)
 
     def step(self, index, outputs):
         assert index == len(self.seen)
@@ -143,6 +148,90 @@ def test_whoever_goes_away_leaves_with_the_next_step(start, network):
     assert stays.result(SECONDS) == staying.expected
     assert isinstance(leaving.exception(SECONDS), ClientGoneError)
     assert set(network.batches) == {1}
+
+
+def blocked(scheduler: Scheduler, network: Counting) -> threading.Event:
+    """Keep the only thread of a scheduler busy until the event is set."""
+    encoding, begun = threading.Event(), threading.Event()
+
+    class Blocking(Count):
+        def begin(self):
+            begun.set()
+            return super().begin()
+
+    scheduler.submit(Blocking(network, [0], 1, encoding), Patience())
+    assert begun.wait(SECONDS)
+    return encoding
+
+
+def test_what_waits_is_encoded_a_few_at_a_time(start, network):
+    scheduler = start(threads=1)
+    encoding = blocked(scheduler, network)
+    jobs = [Count(network, [10 * k], 1 + k) for k in range(6)]
+    futures = [scheduler.submit(job, Patience()) for job in jobs]
+    encoding.set()
+    assert [future.result(SECONDS) for future in futures] == [job.expected for job in jobs]
+    assert network.encoded == [1, 4, 2]
+
+
+def test_threads_share_out_what_waits(start, network):
+    scheduler = start(threads=4)
+    gate = threading.Event()
+    everybody = threading.Barrier(5)
+
+    class Waiting(Count):
+        def begin(self):
+            everybody.wait(SECONDS)
+            assert gate.wait(SECONDS)
+            return super().begin()
+
+    first = [scheduler.submit(Waiting(network, [k], 1), Patience()) for k in range(4)]
+    everybody.wait(SECONDS)
+    later = [scheduler.submit(Count(network, [k], 1), Patience()) for k in range(4)]
+    gate.set()
+    wait([*first, *later], SECONDS)
+    assert network.encoded == [1] * 8
+
+
+def test_requests_for_several_models_are_encoded_apart(start, network):
+    other = Counting()
+    scheduler = start(threads=1)
+    encoding = blocked(scheduler, network)
+    jobs = [Count(of, [10 * k], 3) for k, of in enumerate([network, other, network])]
+    futures = [scheduler.submit(job, Patience()) for job in jobs]
+    encoding.set()
+    assert [future.result(SECONDS) for future in futures] == [job.expected for job in jobs]
+    assert (network.encoded, other.encoded) == ([1, 2], [1])
+
+
+def test_frames_that_cannot_be_read_fail_nobody_else(start, network):
+    class Broken(Count):
+        def begin(self):
+            raise ValueError("a damaged image")
+
+    scheduler = start(threads=1)
+    encoding = blocked(scheduler, network)
+    broken = scheduler.submit(Broken(network, [5], 3), Patience())
+    other = Count(network, [6], 3)
+    answered = scheduler.submit(other, Patience())
+    encoding.set()
+    assert answered.result(SECONDS) == other.expected
+    with pytest.raises(ValueError, match="damaged"):
+        broken.result(SECONDS)
+
+
+def test_an_encoder_that_fails_fails_those_it_encodes(start, network):
+    def encode(_):
+        raise RuntimeError("out of memory")
+
+    failing = Counting()
+    failing.encode = encode
+    scheduler = start(threads=1)
+    failed = [scheduler.submit(Count(failing, [k], 3), Patience()) for k in range(3)]
+    for future in failed:
+        assert isinstance(future.exception(SECONDS), RuntimeError)
+    after = Count(network, [1], 3)
+    assert scheduler.submit(after, Patience()).result(SECONDS) == after.expected
 
 
 def test_one_failure_is_the_answer_of_one_request(start, network):

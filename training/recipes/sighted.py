@@ -54,7 +54,7 @@ def sighted_several_balls(objects: int) -> Recipe:
         data=field_several_balls(objects).data,
         scenarios=compact.scenarios,
         task=Task(objects),
-        sequences=64_000,
+        sequences=44_800,
         rehearsal=12_800,
         curriculum=horizons,
         explicit=replace(one.explicit, curriculum=horizons),
