@@ -25,8 +25,8 @@ BATCHES = (1, 2, 4, 8, 16)
 PREAMBLE = f"""## Batches
 
 Milliseconds that one forecast of a batch takes in ONNX Runtime, one thread a process: one process
-alone, and as many side by side as there are cores ({CORES}). The scheduler encodes the frames of a few
-requests together and steps rollouts together, as these figures tell it to.
+alone, and as many side by side as there are cores ({CORES}). The scheduler encodes the frames of a
+few requests together and steps rollouts together, as these figures tell it to.
 """
 
 
