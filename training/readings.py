@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -44,8 +45,13 @@ def read_windows(family: EyedFamily, stream: Iterator[Batch], windows: int, path
         progress.update(len(batch["frames"]))
     progress.close()
     readings = {name: torch.cat(parts) for name, parts in kept.items()}
+    save_whole(path, readings)
+
+
+def save_whole(path: Path, content: dict[str, Any]) -> None:
+    """Write a file so that it is never seen half-written."""
     unfinished = path.with_suffix(".tmp")
-    torch.save(readings, unfinished)
+    torch.save(content, unfinished)
     unfinished.replace(path)
 
 

@@ -17,12 +17,9 @@ from training.dataset import Batch, TrainingStream, Window, compared_horizon, fi
 from training.initial import Initial, load_fitting
 from training.metrics import forecast
 from training.models.fieldnet import FieldNet
-from training.models.predictor import (
-    EyedFamily,
-    Family,
-)
+from training.models.predictor import EyedFamily, Family
 from training.objective import Objective
-from training.readings import read_windows, rehearsed
+from training.readings import read_windows, rehearsed, save_whole
 from training.recipes.recipe import Recipe, longest_rollout
 from training.simulate import Source, load_recordings, simulate_split
 from training.survey import survey
@@ -251,7 +248,7 @@ class Trainer:
         # Of equals the later: where positions stay as they are, doubt goes on learning.
         if error <= self._best_error:
             self._best_error = error
-            _save(self.folder / BEST, self._weights())
+            save_whole(self.folder / BEST, self._weights())
 
     def averaged(self) -> Family:
         """Return the networks with the averaged weights."""
@@ -270,7 +267,7 @@ class Trainer:
         }
 
     def _save_checkpoint(self) -> None:
-        _save(
+        save_whole(
             self.folder / CHECKPOINT,
             {
                 "family": self.family.state_dict(),
@@ -342,10 +339,3 @@ def warmed_average(decay: float) -> Callable[..., None]:
 def shared_factor(spent: float, heads_alone: float) -> float:
     """Factor on the shared parameters' rate: it rises once the heads have learned alone."""
     return min(max((spent - heads_alone) / SHARED_WARM_UP, 0.0), 1.0) if heads_alone else 1.0
-
-
-def _save(path: Path, content: dict[str, Any]) -> None:
-    """Write a file so that it is never seen half-written."""
-    unfinished = path.with_suffix(".tmp")
-    torch.save(content, unfinished)
-    unfinished.replace(path)

@@ -17,7 +17,7 @@ import httpx2
 import numpy as np
 
 from tests.bench.harness import Heard, asked, service
-from tests.bench.loop import CORES, MODEL, ROOT
+from tests.bench.loop import CORES, MAX_BATCH, MODEL, ROOT
 from tests.bench.payloads import Kind, frames, payload
 
 CONNECTIONS = (1, 4, 16, 64)
@@ -27,10 +27,10 @@ PREAMBLE = f"""## Beside other frameworks
 
 The same requests (JSON with four PNG files, {MODEL}, 40 steps), the same ONNX files, the same
 {CORES} cores and the same client, one framework after the other in every round. Each runs a
-single-threaded ONNX Runtime on every core and, where it has batching, batches of up to 8 of what
-waits, without waiting for more (`tests/bench/peers`). Answers a second and p99 relative to
-Rollcast's in the same round, medians of the rounds: Rollcast is ahead where the first is under 1
-and the second over 1. Answers that are not 200 are failures.
+single-threaded ONNX Runtime on every core and, where it has batching, batches of up to
+{MAX_BATCH} of what waits, without waiting for more (`tests/bench/peers`). Answers a second and
+p99 relative to Rollcast's in the same round, medians of the rounds: Rollcast is ahead where the
+first is under 1 and the second over 1. Answers that are not 200 are failures.
 """
 
 

@@ -6,8 +6,6 @@ Prints the milliseconds of one forecast of a batch.
 """
 
 import argparse
-import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +14,8 @@ from typing import Literal
 import numpy as np
 from matplotlib.figure import Figure
 
-from tests.bench.loop import CORES, ROOT, opened
+from tests.bench.harness import side_by_side
+from tests.bench.loop import CORES, opened
 from tests.bench.payloads import frames
 
 Graph = Literal["encoder", "step"]
@@ -81,13 +80,8 @@ def draw(costs: list[Cost], path: Path) -> None:
 
 
 def _alone_or_beside(graph: Graph, batch: int, processes: int, seconds: float) -> float:
-    command = [sys.executable, "-m", "tests.bench.curve", graph]
-    command += ["--batch", str(batch), "--seconds", str(seconds)]
-    running = [
-        subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
-        for _ in range(processes)
-    ]
-    return float(np.mean([float(process.communicate()[0]) for process in running]))
+    options = (graph, "--batch", str(batch), "--seconds", str(seconds))
+    return float(np.mean(side_by_side(processes, "tests.bench.curve", *options)))
 
 
 def main() -> None:

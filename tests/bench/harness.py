@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import psutil
@@ -49,7 +50,12 @@ def service(**settings: str) -> Iterator[tuple[str, psutil.Process]]:
 
 def bare(seconds: float, *options: str, processes: int = 1) -> list[list[float]]:
     """Times of the bare loop's forecasts, of every process."""
-    command = [sys.executable, "-m", "tests.bench.bare", "--seconds", str(seconds), *options]
+    return side_by_side(processes, "tests.bench.bare", "--seconds", str(seconds), *options)
+
+
+def side_by_side(processes: int, program: str, *options: str) -> list[Any]:
+    """Run so many processes of a program at once; return what each printed, JSON."""
+    command = [sys.executable, "-m", program, *options]
     running = [
         subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         for _ in range(processes)

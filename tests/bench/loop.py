@@ -15,6 +15,8 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = "fieldnet"
 HORIZON = 40
+MAX_BATCH = 8
+"""Of the frameworks that have batching."""
 CORES = len(os.sched_getaffinity(0))
 OUTPUTS = ("positions", "covariances", "angular_velocities")
 

@@ -220,20 +220,6 @@ def test_frames_that_cannot_be_read_fail_nobody_else(start, network):
         broken.result(SECONDS)
 
 
-def test_an_encoder_that_fails_fails_those_it_encodes(start, network):
-    def encode(_):
-        raise RuntimeError("out of memory")
-
-    failing = Counting()
-    failing.encode = encode
-    scheduler = start(threads=1)
-    failed = [scheduler.submit(Count(failing, [k], 3), Patience()) for k in range(3)]
-    for future in failed:
-        assert isinstance(future.exception(SECONDS), RuntimeError)
-    after = Count(network, [1], 3)
-    assert scheduler.submit(after, Patience()).result(SECONDS) == after.expected
-
-
 def test_one_failure_is_the_answer_of_one_request(start, network):
     class Failing(Count):
         def step(self, index, outputs):
@@ -252,11 +238,12 @@ def test_one_failure_is_the_answer_of_one_request(start, network):
         failing.result(SECONDS)
 
 
-def test_a_network_that_fails_fails_those_who_step_with_it(start, network):
-    def advance(_):
+@pytest.mark.parametrize("method", ["encode", "advance"])
+def test_a_network_that_fails_fails_those_who_share_its_batch(start, network, method):
+    def fail(_):
         raise RuntimeError("out of memory")
 
-    network.advance = advance
+    setattr(network, method, fail)
     scheduler = start(threads=1)
     failed = [scheduler.submit(Count(network, [k], 3), Patience()) for k in range(3)]
     for future in failed:

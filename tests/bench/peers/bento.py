@@ -8,10 +8,8 @@ import sys
 
 import bentoml
 
-from tests.bench.loop import CORES
+from tests.bench.loop import CORES, MAX_BATCH
 from tests.bench.peers.answer import Answer, Answers, Request
-
-MAX_BATCH = 8
 
 
 @bentoml.service(workers=CORES, traffic={"timeout": 60})

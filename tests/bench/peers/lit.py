@@ -9,10 +9,8 @@ from typing import Any
 import litserve
 import numpy as np
 
-from tests.bench.loop import CORES
+from tests.bench.loop import CORES, MAX_BATCH
 from tests.bench.peers.answer import Answer, Answers, Request
-
-MAX_BATCH = 8
 
 
 class Forecaster(litserve.LitAPI):

@@ -10,10 +10,8 @@ import ray
 from ray import serve
 from starlette.requests import Request as HttpRequest
 
-from tests.bench.loop import CORES
+from tests.bench.loop import CORES, MAX_BATCH
 from tests.bench.peers.answer import Answer, Answers, Request
-
-MAX_BATCH = 8
 
 
 @serve.deployment(max_ongoing_requests=64)
