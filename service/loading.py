@@ -3,10 +3,13 @@
 import hashlib
 import logging
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from loky import cpu_count
 from pydantic import ValidationError
 
 from rollcast.manifest import (
@@ -53,7 +56,9 @@ def load_registry(
     """
     folders = sorted(path for path in models_dir.glob("*/*") if path.name.isdecimal())
     wanted = [folder for folder in folders if name in (None, folder.parent.name)]
-    return Registry([_load(folder, open_predictor) for folder in wanted])
+    # One name is loaded again while others answer: it takes a single core from them.
+    with ThreadPoolExecutor(cpu_count() if name is None else 1) as pool:
+        return Registry(list(pool.map(partial(_load, open_predictor=open_predictor), wanted)))
 
 
 def _load(folder: Path, open_predictor: PredictorFactory) -> Model:

@@ -65,4 +65,6 @@ def _session(path: Path) -> onnxruntime.InferenceSession:
     options.inter_op_num_threads = 1
     options.log_severity_level = 3  # errors: its warnings speak to those who export
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    # An arena for every session would keep the most that its largest batch ever needed.
+    options.enable_cpu_mem_arena = False
     return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
