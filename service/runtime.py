@@ -2,12 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from threading import Lock
+from weakref import WeakValueDictionary
 
 import numpy as np
 from jaxtyping import UInt8
 
 from rollcast.manifest import (
     ENCODER_FILE,
+    EYE_FILE,
     FRAMES_INPUT,
     NEXT_PREFIX,
     STEP_FILE,
@@ -20,9 +23,14 @@ from service.settings import keep_runtime_silent
 keep_runtime_silent()
 import onnxruntime  # noqa: E402
 
+_eyes: WeakValueDictionary[str, onnxruntime.InferenceSession] = WeakValueDictionary()
+_opening = Lock()
+
 
 class OnnxPredictor:
-    """The two graphs of an artefact. Safe to call from several threads at once.
+    """The graphs of an artefact. Safe to call from several threads at once.
+
+    The eye, by far the largest of them, is shared with other models that have the same.
 
     Parameters
     ----------
@@ -34,7 +42,10 @@ class OnnxPredictor:
 
     def __init__(self, folder: Path, manifest: Manifest) -> None:
         self.manifest = manifest
+        eye = manifest.files.get(EYE_FILE)
+        self._eye = None if eye is None else _shared_eye(folder / EYE_FILE, eye)
         self._encoder = _session(folder / ENCODER_FILE)
+        self._read = [one.name for one in self._encoder.get_inputs()]
         self._step = _session(folder / STEP_FILE)
         self._state = [tensor.name for tensor in manifest.state]
         self._first = list(manifest.output_names)
@@ -44,7 +55,10 @@ class OnnxPredictor:
 
     def encode(self, frames: UInt8[np.ndarray, "B K 128 128 3"]) -> Step:
         """Return the first state and the outputs of step t = 0."""
-        return self._as_step(self._encoder.run(self._encoded, {FRAMES_INPUT: frames}), self._first)
+        seen = {FRAMES_INPUT: frames}
+        if self._eye is not None:
+            seen = dict(zip(self._read, self._eye.run(self._read, seen), strict=True))
+        return self._as_step(self._encoder.run(self._encoded, seen), self._first)
 
     def advance(self, state: Arrays) -> Step:
         """Return the next state and the outputs of its step."""
@@ -56,6 +70,15 @@ class OnnxPredictor:
             dict(zip(self._state, values[:split], strict=True)),
             dict(zip(outputs, values[split:], strict=True)),
         )
+
+
+def _shared_eye(path: Path, digest: str) -> onnxruntime.InferenceSession:
+    """Open an eye, unless one with the same sha256 is open."""
+    with _opening:
+        eye = _eyes.get(digest)
+        if eye is None:
+            eye = _eyes[digest] = _session(path)
+        return eye
 
 
 def _session(path: Path) -> onnxruntime.InferenceSession:

@@ -5,8 +5,8 @@ from pathlib import Path
 import onnx
 import torch
 
-from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, STEP_FILE, Manifest
-from training.initial import Initial
+from rollcast.manifest import ENCODER_FILE, EYE_FILE, MANIFEST_FILE, STEP_FILE, Manifest
+from training.initial import Initial, placed
 from training.models.predictor import Network
 from training.models.presets import PRESETS
 from training.models.task import Task
@@ -17,8 +17,9 @@ from training.trainer import BEST
 def read_parameters(folder: Path) -> dict[str, torch.Tensor]:
     """Parameters of an exported model by torch's names: its graphs' initialisers."""
     parameters: dict[str, torch.Tensor] = {}
-    for file in (ENCODER_FILE, STEP_FILE):
-        parameters |= stored_weights(onnx.load(folder / file).graph)
+    for file in (EYE_FILE, ENCODER_FILE, STEP_FILE):
+        if (folder / file).exists():
+            parameters |= stored_weights(onnx.load(folder / file).graph)
     return parameters
 
 
@@ -55,7 +56,7 @@ def load_exported(folder: Path) -> tuple[Manifest, Network]:
     )
     family = PRESETS[manifest.preset]({manifest.name: manifest.variant}, task)
     predictor = family.networks()[manifest.name]
-    stored = read_parameters(folder)
+    stored = placed(predictor, read_parameters(folder))
     own = predictor.state_dict()
     missing = sorted(own.keys() - stored.keys())
     if missing:

@@ -1,31 +1,22 @@
-"""Exports a trained network as the artefact that the service loads, and proves the export.
-
-Torch's parameters keep their names as initialisers, so the committed artefact is also what later
-training starts from.
-"""
+"""Exports a trained network as the artefact that the service loads, and proves the export."""
 
 import hashlib
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import onnx
 import torch
 from torch import Tensor
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import (
     CARD_FILE,
-    ENCODER_FILE,
-    FRAMES_INPUT,
+    EYE_FILE,
     GOLDEN_FILE,
     HASHED_FILES,
     MANIFEST_FILE,
-    NEXT_PREFIX,
     OUTPUT_SHAPES,
-    STEP_FILE,
     CovarianceSource,
     Manifest,
     Output,
@@ -38,16 +29,15 @@ from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 from training.card import LICENCE, model_card
 from training.dataset import Window, collate, compared_horizon
 from training.evaluate import EvaluationSet, evaluation_sets, metric_rows, run
+from training.graphs import STATE_NAMES, first_observation, present, roll_graphs, write_graphs
 from training.metrics import Forecasts
 from training.models.eye import Eye
-from training.models.predictor import Network, Observation, State
+from training.models.predictor import Network
 from training.models.sighted import AttendedTransition
 from training.recipes.recipe import Recipe
-from training.settings import keep_runtime_silent
-from training.storage import rename, round_weights, store_in_bytes
+from training.storage import round_weights
 from training.trainer import BEST
 
-STATE_NAMES = State._fields
 TOLERANCE: Mapping[OutputName, float] = {
     "positions": 1e-2,
     "covariances": 5e-2,
@@ -64,33 +54,6 @@ UNITS: Mapping[OutputName, str] = {
 }
 GOLDEN_SEQUENCES = 2
 CALIBRATED = (0.50, 0.95)
-_OWN_PREFIX = "network."
-
-
-class EncoderGraph(torch.nn.Module):
-    """The encoder's graph."""
-
-    def __init__(self, network: Network) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, frames: Tensor) -> tuple[Tensor, ...]:
-        """Frames to the state and the first observation, as positional tensors."""
-        state = self.network.start(frames)
-        return *state, *_present(self.network.observe_first(state))
-
-
-class StepGraph(torch.nn.Module):
-    """The step's graph."""
-
-    def __init__(self, network: Network) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, s: Tensor, p: Tensor) -> tuple[Tensor, ...]:
-        """State to the next state and its observation, as positional tensors."""
-        state = self.network.advance(State(s, p))
-        return *state, *_present(self.network.observe(state))
 
 
 @dataclass(frozen=True)
@@ -155,7 +118,7 @@ def export(
     predictor = trained.predictor.cpu().eval()
     round_weights(m for m in predictor.modules() if isinstance(m, Eye | AttendedTransition))
     sample = collate(_spread(validation, GOLDEN_SEQUENCES))["frames"]
-    _write_graphs(predictor, sample, folder)
+    write_graphs(predictor, sample, folder)
     horizon = trained.horizon
     _write_golden(predictor, sample, horizon, folder)
     windows = _spread(validation, 3)
@@ -170,7 +133,7 @@ def export(
         for row in rows
         if row.split == "validation" and row.horizon == compared_horizon(task.objects)
     ]
-    observation = _observation_of(predictor, sample)
+    observation = first_observation(predictor, sample)
     card = model_card(
         trained.recipe, trained.name, version, trained.sequences, horizon, rows, covariance
     )
@@ -214,34 +177,15 @@ def export(
         validation_error_px=round(float(np.mean(chosen)), 4),
         parity=parity,
         golden_tolerance={name: TOLERANCE[name] for name in observation},
-        files={name: _sha256(folder / name) for name in HASHED_FILES},
+        files={
+            name: _sha256(folder / name)
+            for name in (EYE_FILE, *HASHED_FILES)
+            if (folder / name).exists()
+        },
         licence=LICENCE,
     )
     manifest.write(folder / MANIFEST_FILE)
     return manifest
-
-
-def _present(observation: Observation) -> tuple[Tensor, ...]:
-    outputs = observation._replace(reading=None)
-    return tuple(part for part in outputs if isinstance(part, Tensor))
-
-
-def _observation_of(predictor: Network, frames: Tensor) -> dict[OutputName, Tensor]:
-    """First observation by output name, without what the network does not have."""
-    with torch.inference_mode():
-        observation = predictor.observe_first(predictor.start(frames))
-    named: dict[OutputName, Tensor | None] = {
-        "positions": observation.positions,
-        "covariances": observation.covariances,
-        "angular_velocities": observation.angular_velocities,
-        "final_positions": observation.final_positions,
-    }
-    return {name: value for name, value in named.items() if value is not None}
-
-
-def _of_a_step(outputs: Sequence[OutputName]) -> list[OutputName]:
-    """Return the step graph's outputs: the final position is said by the encoder alone."""
-    return [name for name in outputs if name != "final_positions"]
 
 
 def _spread(sets: Sequence[EvaluationSet], windows: int) -> list[Window]:
@@ -249,63 +193,10 @@ def _spread(sets: Sequence[EvaluationSet], windows: int) -> list[Window]:
     return [sets[k % len(sets)].windows[k // len(sets)] for k in range(windows)]
 
 
-def _write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
-    outputs = list(_observation_of(predictor, frames))
-    batch = torch.export.Dim("batch", min=1, max=4096)
-    with torch.inference_mode():
-        state = predictor.start(frames)
-    _write_graph(
-        EncoderGraph(predictor), (frames,), [FRAMES_INPUT], [*STATE_NAMES, *outputs],
-        {"frames": {0: batch}}, folder / ENCODER_FILE,
-    )  # fmt: skip
-    _write_graph(
-        StepGraph(predictor), tuple(state), list(STATE_NAMES),
-        [*(NEXT_PREFIX + name for name in STATE_NAMES), *_of_a_step(outputs)],
-        {name: {0: batch} for name in STATE_NAMES}, folder / STEP_FILE,
-    )  # fmt: skip
-
-
-def _write_graph(
-    module: torch.nn.Module,
-    arguments: tuple[Tensor, ...],
-    inputs: list[str],
-    outputs: list[str],
-    dynamic: dict[str, dict[int, object]],
-    path: Path,
-) -> None:
-    # Ordinary tensors: those made in inference mode cannot be traced.
-    arguments = tuple(argument.clone() for argument in arguments)
-    with warnings.catch_warnings():
-        # The state's tensors share the batch axis; torch warns that it keeps one name for it.
-        warnings.filterwarnings("ignore", message="# The axis name")
-        # torch's exporter calls what torch itself has deprecated.
-        warnings.filterwarnings("ignore", message=".isinstance.treespec", category=FutureWarning)
-        torch.onnx.export(
-            module.eval(), arguments, path, input_names=inputs, output_names=outputs,
-            dynamic_shapes=dynamic, dynamo=True, external_data=False, verbose=False,
-        )  # fmt: skip
-    model = onnx.load(path)
-    for initialiser in model.graph.initializer:
-        rename(model.graph, initialiser.name, initialiser.name.removeprefix(_OWN_PREFIX))
-        initialiser.name = initialiser.name.removeprefix(_OWN_PREFIX)
-    store_in_bytes(model.graph)
-    drop_traces(model.graph)
-    onnx.checker.check_model(model)
-    onnx.save(model, path)
-
-
-def drop_traces(graph: onnx.GraphProto) -> None:
-    """Drop the exporter's stack traces: paths of this machine, and other bytes in every export."""
-    parts = (graph.node, graph.initializer, graph.value_info, graph.input, graph.output)
-    for part in (graph, *(one for of_kind in parts for one in of_kind)):
-        del part.metadata_props[:]
-        part.doc_string = ""
-
-
 def _write_golden(predictor: Network, frames: Tensor, horizon: int, folder: Path) -> None:
     with torch.inference_mode():
         rollout = predictor(frames, horizon)
-    values = zip(_observation_of(predictor, frames), _present(rollout), strict=True)
+    values = zip(first_observation(predictor, frames), present(rollout), strict=True)
     arrays: dict[str, np.ndarray] = {name: value.numpy() for name, value in values}
     np.savez_compressed(folder / GOLDEN_FILE, allow_pickle=False, frames=frames.numpy(), **arrays)
 
@@ -325,9 +216,9 @@ def measure_parity(
     for batch in (frames[:1], frames):
         for horizon in horizons:
             with torch.inference_mode():
-                expected = _present(predictor(batch, horizon))
-            rolled = _roll_onnx(
-                folder, batch.numpy(), horizon, list(_observation_of(predictor, batch))
+                expected = present(predictor(batch, horizon))
+            rolled = roll_graphs(
+                folder, batch.numpy(), horizon, list(first_observation(predictor, batch))
             )
             for (name, value), truth in zip(rolled.items(), expected, strict=True):
                 difference = float(np.abs(value - truth.numpy()).max())
@@ -341,34 +232,6 @@ def measure_parity(
         max_abs_error={name: float(f"{value:.2e}") for name, value in worst.items()},
         tolerance={name: TOLERANCE[name] for name in worst},
     )
-
-
-def _roll_onnx(
-    folder: Path, frames: np.ndarray, horizon: int, outputs: list[OutputName]
-) -> dict[OutputName, np.ndarray]:
-    keep_runtime_silent()
-    import onnxruntime
-
-    encoder = onnxruntime.InferenceSession(folder / ENCODER_FILE)
-    step = onnxruntime.InferenceSession(folder / STEP_FILE)
-    values = encoder.run([*STATE_NAMES, *outputs], {FRAMES_INPUT: frames})
-    state, first = values[: len(STATE_NAMES)], values[len(STATE_NAMES) :]
-    rows: dict[OutputName, list[np.ndarray]] = {
-        name: [value] for name, value in zip(outputs, first, strict=True)
-    }
-    stepped = _of_a_step(outputs)
-    for _ in range(horizon - 1):
-        values = step.run(
-            [*(NEXT_PREFIX + name for name in STATE_NAMES), *stepped],
-            dict(zip(STATE_NAMES, state, strict=True)),
-        )
-        state = values[: len(STATE_NAMES)]
-        for name, value in zip(stepped, values[len(STATE_NAMES) :], strict=True):
-            rows[name].append(value)
-    return {
-        name: np.stack(parts, axis=2) if name in stepped else parts[0]
-        for name, parts in rows.items()
-    }
 
 
 def fit_covariance(forecasts: Mapping[Scenario, Forecasts]) -> CovarianceSource:

@@ -33,16 +33,20 @@ def load_fitting(network: Network, initial: dict[str, torch.Tensor]) -> list[str
         When none fits.
     """
     own = network.state_dict()
-    # An eye that was taught alone sits in the encoder of a predictor.
-    placed = {n if n in own else f"encoder.{n}": value for n, value in initial.items()}
     fitting = {
-        name: widened for name, value in placed.items()
+        name: widened for name, value in placed(network, initial).items()
         if name in own and (widened := _widened(name, value, own[name].shape)) is not None
     }  # fmt: skip
     if not fitting:
         raise ValueError("the initial parameters share no name and shape with the network")
     network.load_state_dict(own | fitting)
     return sorted(fitting)
+
+
+def placed(network: Network, parameters: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Parameters by the names in a network: an eye may sit in its encoder."""
+    own = network.state_dict()
+    return {n if n in own else f"encoder.{n}": value for n, value in parameters.items()}
 
 
 def _widened(name: str, value: torch.Tensor, shape: torch.Size) -> torch.Tensor | None:

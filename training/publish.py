@@ -14,6 +14,7 @@ from training.export import with_covariance
 from training.metrics import Forecasts
 from training.report import page, picture_name
 from training.results import Results, committed, measure
+from training.simulate import SHARD_SCENES
 
 RESULTS = "results.json"
 STEPS_BETWEEN_ELLIPSES = 5
@@ -32,14 +33,12 @@ def publish(models: Path, docs: Path, scenes: int, workers: int) -> Results:
         plots.draw_errors(list(curves), folder / picture_name(scenario, objects))
     plots.draw_calibration(results.curves, folder / "calibration.png")
     plots.draw_ellipses(
-        _examples(folders, scenes, workers), STEPS_BETWEEN_ELLIPSES, folder / "ellipses.png"
+        _examples(folders, workers), STEPS_BETWEEN_ELLIPSES, folder / "ellipses.png"
     )
     return results
 
 
-def _examples(
-    folders: Sequence[Path], scenes: int, workers: int
-) -> list[tuple[str, Window, Forecasts]]:
+def _examples(folders: Sequence[Path], workers: int) -> list[tuple[str, Window, Forecasts]]:
     """First test scene of every scenario, forecast by the models that predict covariances."""
     examples: list[tuple[str, Window, Forecasts]] = []
     for folder in folders:
@@ -47,7 +46,7 @@ def _examples(
             continue
         manifest, predictor = load_exported(folder)
         sets = evaluation_sets(
-            manifest.scenarios, manifest.objects, manifest.final_step, "test", scenes, workers
+            manifest.scenarios, manifest.objects, manifest.final_step, "test", SHARD_SCENES, workers
         )
         first = [replace(part, windows=part.windows[:1]) for part in sets]
         forecasts = with_covariance(run(predictor, first), manifest.covariance)

@@ -8,6 +8,7 @@ Prints the milliseconds of one forecast of a batch.
 import argparse
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tests.bench.harness import side_by_side
-from tests.bench.loop import CORES, opened
+from tests.bench.loop import CORES, BareLoop
 from tests.bench.payloads import frames
 
 Graph = Literal["encoder", "step"]
@@ -90,18 +91,15 @@ def main() -> None:
     parser.add_argument("--batch", type=int, required=True)
     parser.add_argument("--seconds", type=float, default=1)
     given = parser.parse_args()
-    session = opened("encoder")
-    fed = {"frames": np.repeat(frames()[None], given.batch, axis=0)}
-    if given.graph == "step":
-        names = [one.name for one in session.get_outputs()]
-        found = dict(zip(names, session.run(None, fed), strict=True))
-        session = opened("step")
-        fed = {one.name: found[one.name] for one in session.get_inputs()}
-    session.run(None, fed)
+    loop = BareLoop()
+    images = np.repeat(frames()[None], given.batch, axis=0)
+    found = loop.encode(images)
+    run = partial(loop.encode, images) if given.graph == "encoder" else partial(loop.step, found)
+    run()
     times: list[float] = []
     end = time.perf_counter() + given.seconds
     while (begun := time.perf_counter()) < end:
-        session.run(None, fed)
+        run()
         times.append(time.perf_counter() - begun)
     print(1e3 * float(np.median(times)) / given.batch)
 

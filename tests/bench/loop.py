@@ -21,7 +21,7 @@ CORES = len(os.sched_getaffinity(0))
 OUTPUTS = ("positions", "covariances", "angular_velocities")
 
 
-def opened(graph: Literal["encoder", "step"]) -> onnxruntime.InferenceSession:
+def _opened(graph: Literal["eye", "encoder", "step"]) -> onnxruntime.InferenceSession:
     """Open a graph of MODEL on one thread."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
@@ -32,25 +32,34 @@ def opened(graph: Literal["encoder", "step"]) -> onnxruntime.InferenceSession:
 
 
 class BareLoop:
-    """Encoder once, step HORIZON - 1 times; one thread."""
+    """Eye and encoder once, step HORIZON - 1 times; one thread."""
 
     def __init__(self) -> None:
-        self._encoder = opened("encoder")
-        self._step = opened("step")
+        self._eye = _opened("eye")
+        self._encoder = _opened("encoder")
+        self._step = _opened("step")
         self._state = [one.name for one in self._step.get_inputs()]
+        self._read = [one.name for one in self._encoder.get_inputs()]
         self._first = [one.name for one in self._encoder.get_outputs()]
-        self._next = [one.name for one in self._step.get_outputs()]
+        self._next = [one.name.removeprefix("next_") for one in self._step.get_outputs()]
 
     def forecast(self, images: np.ndarray) -> list[dict[str, np.ndarray]]:
-        """Outputs [B, N, ...] of every step from frames [B, 4, 128, 128, 3]."""
-        found = dict(zip(self._first, self._encoder.run(None, {"frames": images}), strict=True))
-        steps = [found]
-        state = {name: found[name] for name in self._state}
+        """State and outputs [B, N, ...] of every step from frames [B, 4, 128, 128, 3]."""
+        steps = [self.encode(images)]
         for _ in range(HORIZON - 1):
-            found = dict(zip(self._next, self._step.run(None, state), strict=True))
-            steps.append(found)
-            state = {name: found[f"next_{name}"] for name in self._state}
+            steps.append(self.step(steps[-1]))
         return steps
+
+    def encode(self, images: np.ndarray) -> dict[str, np.ndarray]:
+        """State and outputs of the first step."""
+        read = self._eye.run(self._read, {"frames": images})
+        seen = dict(zip(self._read, read, strict=True))
+        return dict(zip(self._first, self._encoder.run(None, seen), strict=True))
+
+    def step(self, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """State and outputs of the next step."""
+        state = {name: found[name] for name in self._state}
+        return dict(zip(self._next, self._step.run(None, state), strict=True))
 
 
 def decoded(files: list[bytes]) -> np.ndarray:

@@ -55,8 +55,8 @@ def throughput(address: str, rounds: int, seconds: float) -> list[Finding]:
 
 
 def overload(rounds: int, seconds: float) -> list[Finding]:
-    """Twice as many requests as can be answered."""
-    with service(ROLLCAST_INFERENCE_QUEUE="4") as (address, _):
+    """Twice as many requests as can be answered; one a core may wait."""
+    with service(ROLLCAST_INFERENCE_QUEUE=str(CORES)) as (address, _):
         slower: list[float] = []
         after: list[float] = []
         for _ in range(rounds):

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from rollcast.manifest import HASHED_FILES, MANIFEST_FILE, Manifest
+from rollcast.manifest import EYE_FILE, HASHED_FILES, MANIFEST_FILE, Manifest
 
 FIELDS = {
     "format_version": 1,
@@ -67,6 +67,11 @@ def test_what_is_written_is_read_back(tmp_path_factory, version, scale, error, t
     path = tmp_path_factory.mktemp("artefact") / MANIFEST_FILE
     manifest.write(path)
     assert Manifest.read(path) == manifest
+
+
+def test_an_artefact_may_have_an_eye():
+    files = dict.fromkeys((EYE_FILE, *HASHED_FILES), 64 * "a")
+    assert Manifest.model_validate(FIELDS | {"files": files}).files == files
 
 
 def test_names_of_outputs():

@@ -49,6 +49,19 @@ def test_losses_are_least_at_the_truth():
     assert likelihood(off, positions) > likelihood(at_truth, positions)
 
 
+@pytest.mark.parametrize(("regulariser", "likeliest"), [(0.0, 100.0), (0.01, 16.1)])
+def test_the_regulariser_makes_large_variances_small(regulariser, likeliest):
+    # Errors of variance v: the loss is least where 2 lambda l^3 + l = v (decision 0020).
+    generator = torch.Generator().manual_seed(2)
+    truth = 10 * torch.randn(20_000, 1, 1, 2, generator=generator)
+    loss = LikelihoodLoss(halving=4, regulariser=regulariser, outlier=100)
+    variances = torch.linspace(4, 120, 200)
+    unit = torch.eye(2).expand(*truth.shape, 2)
+    nowhere = torch.zeros_like(truth)
+    losses = [loss(Observation(nowhere, size * unit, None), truth) for size in variances]
+    assert float(variances[torch.stack(losses).argmin()]) == pytest.approx(likeliest, rel=0.05)
+
+
 def test_angular_velocity_counts_where_there_is_one():
     positions, spins = torch.rand(2, 1, 5, 2), torch.randn(2, 1, 5, 3)
     loss = SpinLoss()

@@ -82,6 +82,9 @@ def test_a_wider_network_begins_as_the_narrower_one(two_balls, posnet, tmp_path)
 @pytest.mark.parametrize("make", [field_several_balls, field_several_balls_between])
 def test_two_balls_with_an_explicit_state_go_all_the_way(make, runs, tmp_path):
     base = make(2)
+    if base.task.final_step is not None:
+        # The encoder's graph holds every step until then, and takes as long to export.
+        base = replace(base, task=replace(base.task, final_step=15))
     data = (DataShare(Source("ellipsoid", 2), SHARD_SCENES, share=1, latest_start=100),)
     recipe = replace(tiny(base), data=data, scenarios=base.scenarios, sequences=8)
     Trainer(recipe, tmp_path, PACE, [read_initial(MODELS / "fieldnet-2" / "1")]).run()

@@ -34,11 +34,16 @@ def compact_family(variants: Mapping[str, str], task: Task) -> Family:
 
 
 def composed(
-    variants: Mapping[str, str], encoder: nn.Module, transition: nn.Module, *, spin: bool
+    variants: Mapping[str, str],
+    encoder: nn.Module,
+    transition: nn.Module,
+    *,
+    spin: bool,
+    kind: type[Predictor] = Predictor,
 ) -> dict[str, Predictor]:
     """Predictors of the variants over one state of CHANNELS, which encoder and transition make."""
     readout = SpatialReadout(CHANNELS, 3) if spin else None
     return {
-        name: Predictor(encoder, transition, HEADS[variant](CHANNELS), readout)
+        name: kind(encoder, transition, HEADS[variant](CHANNELS), readout)
         for name, variant in variants.items()
     }

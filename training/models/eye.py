@@ -8,6 +8,7 @@ Lengths are halves of the frame in image axes (x right, y down, z towards the ca
 frames. Shape suffixes as in ``blocks.py``.
 """
 
+from abc import abstractmethod
 from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
@@ -19,7 +20,7 @@ from torch.nn import functional
 from rollcast.camera import BOWL_HALF_WIDTH_M, NETWORK_FRAME_SIZE
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 from training.models.blocks import PIXEL_UNIT, ResidualConv, cell_centres, normalised_frames
-from training.models.predictor import ANGULAR_VELOCITY_UNIT, Reading
+from training.models.predictor import ANGULAR_VELOCITY_UNIT, Network, Reading, State
 
 FEATURES = 128
 """Numbers that the closest look says of every ball besides its positions."""
@@ -264,6 +265,14 @@ class Eye(nn.Module):
         near, _ = self.closer(images, rough)
         exact, features = self.closer(images, near)
         return (rough, near, exact), features, ground, measures
+
+
+class EyedNetwork(Network):
+    """A network whose first state is made of what its only eye reads."""
+
+    @abstractmethod
+    def begin(self, reading: Reading, finals_BN2: Tensor | None) -> State:
+        """h_0 from a reading and, where a final frame is seen, the positions there."""
 
 
 def looked(eye: Eye, frames_BKHW3: Tensor) -> tuple[Reading, Tensor | None]:

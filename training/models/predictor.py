@@ -129,12 +129,17 @@ class PointOutput(nn.Module):
 class GaussianOutput(nn.Module):
     """Bivariate Gaussian: p = (x, y, beta_1, beta_2, theta) (paper, section 3.3).
 
-    Sigma = R(theta)^T diag(l_1, l_2) R(theta) with eigenvalues l_i = 100 sigmoid(beta_i) + 0.01.
+    Sigma = R(theta)^T diag(l_1, l_2) R(theta) with eigenvalues l_i = L sigmoid(beta_i) + 0.01; the
+    paper's largest, L, is 100 px^2.
     """
+
+    def __init__(self, largest_px2: float = LARGEST_VARIANCE_PX2) -> None:
+        super().__init__()
+        self.largest_px2 = largest_px2
 
     def forward(self, p_BNP: Tensor) -> tuple[Tensor, Tensor]:
         """Positions and covariances."""
-        eigenvalues = LARGEST_VARIANCE_PX2 * torch.sigmoid(p_BNP[..., 2:4]) + SMALLEST_VARIANCE_PX2
+        eigenvalues = self.largest_px2 * torch.sigmoid(p_BNP[..., 2:4]) + SMALLEST_VARIANCE_PX2
         cos, sin = torch.cos(p_BNP[..., 4]), torch.sin(p_BNP[..., 4])
         one, two = eigenvalues[..., 0], eigenvalues[..., 1]
         xx = one * cos * cos + two * sin * sin
@@ -160,9 +165,9 @@ def pixels(position: Tensor) -> Tensor:
     return PIXEL_UNIT + PIXEL_UNIT * position
 
 
-def logit_of_variance(variance_px2: float) -> float:
+def logit_of_variance(variance_px2: float, largest_px2: float = LARGEST_VARIANCE_PX2) -> float:
     """Return the beta whose eigenvalue is ``variance_px2``."""
-    share = (variance_px2 - SMALLEST_VARIANCE_PX2) / LARGEST_VARIANCE_PX2
+    share = (variance_px2 - SMALLEST_VARIANCE_PX2) / largest_px2
     return math.log(share / (1 - share))
 
 

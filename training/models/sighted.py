@@ -18,14 +18,17 @@ from training.models.blocks import (
     cell_centres,
 )
 from training.models.compact import CHANNELS, composed
-from training.models.eye import Eye, full_precision, looked
+from training.models.eye import Eye, EyedNetwork, full_precision, looked
 from training.models.fieldnet import Ball, seen_state
 from training.models.predictor import (
     EyedFamily,
     Family,
     Observation,
+    Predictor,
+    Reading,
     SharedStateFamily,
     Sight,
+    State,
 )
 from training.models.task import Task
 
@@ -91,13 +94,17 @@ class SightedEncoder(nn.Module):
 
     def look(self, frames_BKHW3: Tensor) -> Sight:
         """Return what the eye reads."""
-        reading, finals = looked(self.eye, frames_BKHW3)
-        return Sight(seen_state(reading, torch.zeros_like(reading.centres)), finals)
+        return sight_of(*looked(self.eye, frames_BKHW3))
 
     def begin(self, sight: Sight) -> Tensor:
         """s_0 of what was read, or of the truth."""
         with full_precision(sight.state.p.device):
             return self.spread(sight)
+
+
+def sight_of(reading: Reading, finals_BN2: Tensor | None) -> Sight:
+    """Return what a forecast begins with, from what an eye read; nothing is doubted yet."""
+    return Sight(seen_state(reading, torch.zeros_like(reading.centres)), finals_BN2)
 
 
 class AttendedTransition(nn.Module):
@@ -159,6 +166,16 @@ class AttendedTransition(nn.Module):
         return (GRID * answer.transpose(1, 2) @ writing).unflatten(2, (GRID, GRID))
 
 
+class SightedPredictor(Predictor, EyedNetwork):
+    """A predictor over a sighted state."""
+
+    def begin(self, reading: Reading, finals_BN2: Tensor | None) -> State:
+        """h_0 from what the eye read."""
+        assert isinstance(self.encoder, SightedEncoder)
+        s = self.encoder.begin(sight_of(reading, finals_BN2))
+        return State(s, self.motion.start(s))
+
+
 class SightedFamily(SharedStateFamily, EyedFamily):
     """Predictors over one sighted state."""
 
@@ -183,4 +200,5 @@ def sighted_family(variants: Mapping[str, str], task: Task) -> Family:
     encoder = SightedEncoder(task, CHANNELS)
     met = ObjectInteraction() if task.meetings else None
     transition = AttendedTransition(CHANNELS, met)
-    return SightedFamily(composed(variants, encoder, transition, spin=task.angular_velocity))
+    spin = task.angular_velocity
+    return SightedFamily(composed(variants, encoder, transition, spin=spin, kind=SightedPredictor))
