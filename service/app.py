@@ -9,7 +9,7 @@ from fastapi_offline import FastAPIOffline
 
 from rollcast.http import API_VERSION
 from service.loading import Loader, load_registry
-from service.logs import install_request_ids
+from service.logs import install_access_log
 from service.metrics import Metrics
 from service.openapi import install_openapi
 from service.problems import install_problem_handlers
@@ -90,7 +90,7 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
     install_problem_handlers(app)
     install_openapi(app)
     figures.watch_requests(app)
-    install_request_ids(app)
+    install_access_log(app)
     for feature in (predict, simulate, models, inference, repository, health, metrics, home):
         app.include_router(feature.router)
     return app

@@ -27,6 +27,7 @@ class Server(uvicorn.Server):
             uvicorn.Config(
                 app,
                 log_config=configuration(settings.log_format),
+                access_log=False,  # service.logs has its own
                 timeout_graceful_shutdown=settings.stop_timeout_s,
             )
         )

@@ -15,7 +15,9 @@ from training.export import export_run, with_covariance
 from training.models.fieldnet import FieldNet
 from training.models.paper import VggEncoder, load_imagenet
 from training.models.predictor import Predictor
+from training.plots import draw_training
 from training.publish import publish
+from training.quantise import NotWorthItError, quantise
 from training.recipes import RECIPES
 from training.report import with_results
 from training.results import committed
@@ -81,7 +83,13 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="VGG16 trained on ImageNet (torchvision's .pth or ONNX), for the paper's preset",
     )
+    train.add_argument("--validate-every", type=int, default=Pace.validate_every, metavar="BATCHES")
     train.set_defaults(run=_train)
+
+    curve = commands.add_parser("curve", help="draw the loss and the validation errors of a run")
+    curve.add_argument("recipe", choices=sorted(RECIPES))
+    curve.add_argument("picture", type=Path, help="PNG file to write")
+    curve.set_defaults(run=_curve)
 
     evaluate = commands.add_parser(
         "evaluate", parents=[processes], help="measure exported models on fixed scenes"
@@ -112,6 +120,16 @@ def _parser() -> argparse.ArgumentParser:
     exported.add_argument("--models", type=Path, default=MODELS)
     exported.add_argument("--scenes", type=int, default=500, help="test scenes per scenario")
     exported.set_defaults(run=_export)
+
+    quantised = commands.add_parser(
+        "quantise",
+        parents=[processes],
+        help="write another version of an exported model, faster in 8 bits, if it is worth it",
+    )
+    quantised.add_argument("model", type=Path, help="models/NAME/VERSION")
+    quantised.add_argument("--version", type=int, default=2)
+    quantised.add_argument("--scenes", type=int, default=500, help="test scenes per scenario")
+    quantised.set_defaults(run=_quantise)
 
     campaigned = commands.add_parser(
         "campaign",
@@ -145,7 +163,8 @@ def _train(arguments: argparse.Namespace) -> None:
     recipe = RECIPES[arguments.recipe]()
     folder = runs_folder() / arguments.recipe
     initial = [one for start in arguments.init for one in initial_networks(start)]
-    trainer = Trainer(recipe, folder, Pace(simulators=arguments.workers), initial)
+    pace = Pace(arguments.validate_every, simulators=arguments.workers)
+    trainer = Trainer(recipe, folder, pace, initial)
     if arguments.imagenet is not None:
         network = next(iter(trainer.family.networks().values()))
         if not (isinstance(network, Predictor) and isinstance(network.encoder, VggEncoder)):
@@ -153,6 +172,10 @@ def _train(arguments: argparse.Namespace) -> None:
         print(f"{load_imagenet(network.encoder, arguments.imagenet)} convolutions from ImageNet")
     error = trainer.run()
     print(f"best mean validation error: {error:.3f} px, kept in {folder}")
+
+
+def _curve(arguments: argparse.Namespace) -> None:
+    draw_training(runs_folder() / arguments.recipe, arguments.picture)
 
 
 def _evaluate(arguments: argparse.Namespace) -> None:
@@ -216,6 +239,14 @@ def _show(manifests: Sequence[Manifest]) -> None:
             tolerance = manifest.parity.tolerance[output]
             print(f"{output}: torch and ONNX differ by {error} (tolerance {tolerance})")
         print(f"\n{markdown_table([row for row in manifest.metrics if row.split == 'test'])}\n")
+
+
+def _quantise(arguments: argparse.Namespace) -> None:
+    try:
+        manifest = quantise(arguments.model, arguments.version, arguments.scenes, arguments.workers)
+    except NotWorthItError as error:
+        raise SystemExit(str(error)) from error
+    print(f"{manifest.label}, from {manifest.training['quantised']}")
 
 
 def _campaign(arguments: argparse.Namespace) -> None:

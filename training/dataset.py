@@ -195,9 +195,11 @@ class TrainingStream(IterableDataset[Batch]):
     surveys
         One for every group.
     practice
-        Windows without frames beside every batch; with any, all windows have scenery.
+        Windows without frames beside every batch.
     seen
-        Whether the windows have frames; those without have scenery.
+        Whether the windows have frames.
+    scenery
+        Whether they have scenery.
     """
 
     def __init__(
@@ -213,13 +215,14 @@ class TrainingStream(IterableDataset[Batch]):
         practice: int = 0,
         *,
         seen: bool = True,
+        scenery: bool = False,
     ) -> None:
         if max(latest_starts) > LAST_START:
             raise ValueError(
                 f"latest_start is {max(latest_starts)}; at most {LAST_START} is stored"
             )
         self._makers = [
-            WindowMaker(group, final_step, survey, scenery=practice > 0 or not seen)
+            WindowMaker(group, final_step, survey, scenery=scenery)
             for group, survey in zip(groups, surveys, strict=True)
         ]
         self._practice = practice

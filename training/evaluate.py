@@ -31,6 +31,11 @@ class EvaluationSet:
     """Forecast of the line through ten true positions [sequences, objects, T, 2]."""
 
     @property
+    def objects(self) -> int:
+        """Balls of every scene."""
+        return self.line.shape[1]
+
+    @property
     def horizon(self) -> int:
         """T_gen."""
         return self.line.shape[2]

@@ -1,8 +1,9 @@
 """Exports a trained network as the artefact that the service loads, and proves the export."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from rollcast.manifest import (
     OUTPUT_SHAPES,
     CovarianceSource,
     Manifest,
+    MetricRow,
     Output,
     OutputName,
     Parity,
@@ -29,7 +31,7 @@ from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 from training.card import LICENCE, model_card
 from training.dataset import Window, collate, compared_horizon
 from training.evaluate import EvaluationSet, evaluation_sets, metric_rows, run
-from training.graphs import STATE_NAMES, first_observation, present, roll_graphs, write_graphs
+from training.graphs import STATE_NAMES, Graphs, first_observation, present, write_graphs
 from training.metrics import Forecasts
 from training.models.eye import Eye
 from training.models.predictor import Network
@@ -124,18 +126,16 @@ def export(
     windows = _spread(validation, 3)
     # Not beyond the trained horizon: there a rollout may magnify any rounding.
     parity = measure_parity(predictor, folder, windows, horizons=(max(horizon // 2, 1), horizon))
-    on_validation = run(predictor, validation)
-    covariance = fit_covariance(on_validation)
-    rows = metric_rows(validation, with_covariance(on_validation, covariance), horizon)
-    rows += metric_rows(test, with_covariance(run(predictor, test), covariance), horizon)
-    chosen = [
-        row.position_error_px
-        for row in rows
-        if row.split == "validation" and row.horizon == compared_horizon(task.objects)
-    ]
+    judged = judge(partial(run, predictor), validation, test, horizon)
     observation = first_observation(predictor, sample)
     card = model_card(
-        trained.recipe, trained.name, version, trained.sequences, horizon, rows, covariance
+        trained.recipe,
+        trained.name,
+        version,
+        trained.sequences,
+        horizon,
+        judged.rows,
+        judged.covariance,
     )
     (folder / CARD_FILE).write_text(card, encoding="utf-8")
     manifest = Manifest(
@@ -165,7 +165,7 @@ def export(
             )
             for name in observation
         ),
-        covariance=covariance,
+        covariance=judged.covariance,
         angular_velocity="angular_velocities" in observation,
         training={
             "sequences": trained.sequences,
@@ -173,19 +173,52 @@ def export(
             "interaction": task.interaction,
             "scenes": {part.source.name: part.scenes for part in trained.recipe.data},
         },
-        metrics=tuple(rows),
-        validation_error_px=round(float(np.mean(chosen)), 4),
+        metrics=judged.rows,
+        validation_error_px=judged.validation_error_px,
         parity=parity,
         golden_tolerance={name: TOLERANCE[name] for name in observation},
-        files={
-            name: _sha256(folder / name)
-            for name in (EYE_FILE, *HASHED_FILES)
-            if (folder / name).exists()
-        },
+        files=hashes(folder),
         licence=LICENCE,
     )
     manifest.write(folder / MANIFEST_FILE)
     return manifest
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a manifest says of a model's forecasts."""
+
+    covariance: CovarianceSource
+    rows: tuple[MetricRow, ...]
+    validation_error_px: float
+
+
+def judge(
+    forecast: Callable[[Sequence[EvaluationSet]], Mapping[Scenario, Forecasts]],
+    validation: Sequence[EvaluationSet],
+    test: Sequence[EvaluationSet],
+    horizon: int,
+) -> Judged:
+    """Fit a model's covariances on the validation split, and measure it on both.
+
+    Parameters
+    ----------
+    forecast
+        The model: forecasts every set up to T_gen.
+    horizon
+        Its trained horizon.
+    """
+    on_validation = forecast(validation)
+    covariance = fit_covariance(on_validation)
+    rows = metric_rows(validation, with_covariance(on_validation, covariance), horizon)
+    rows += metric_rows(test, with_covariance(forecast(test), covariance), horizon)
+    compared = compared_horizon(validation[0].objects)
+    errors = [
+        row.position_error_px
+        for row in rows
+        if row.split == "validation" and row.horizon == compared
+    ]
+    return Judged(covariance, tuple(rows), round(float(np.mean(errors)), 4))
 
 
 def _spread(sets: Sequence[EvaluationSet], windows: int) -> list[Window]:
@@ -213,13 +246,12 @@ def measure_parity(
     """
     frames = collate(windows)["frames"]
     worst: dict[OutputName, float] = {}
+    graphs = Graphs(folder)
     for batch in (frames[:1], frames):
         for horizon in horizons:
             with torch.inference_mode():
                 expected = present(predictor(batch, horizon))
-            rolled = roll_graphs(
-                folder, batch.numpy(), horizon, list(first_observation(predictor, batch))
-            )
+            rolled = graphs.roll(batch.numpy(), horizon)
             for (name, value), truth in zip(rolled.items(), expected, strict=True):
                 difference = float(np.abs(value - truth.numpy()).max())
                 worst[name] = max(worst.get(name, 0.0), difference)
@@ -285,5 +317,7 @@ def _served_covariances(made: Forecasts, covariance: CovarianceSource) -> np.nda
     return made.covariances * scale[:, None, None]
 
 
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def hashes(folder: Path) -> dict[str, str]:
+    """Sha256 of an artefact's files, by name."""
+    there = [name for name in (EYE_FILE, *HASHED_FILES) if (folder / name).exists()]
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in there}

@@ -18,6 +18,7 @@ from rollcast.manifest import (
     EYE_FILE,
     FRAMES_INPUT,
     NEXT_PREFIX,
+    OUTPUT_SHAPES,
     STEP_FILE,
     OutputName,
 )
@@ -161,39 +162,55 @@ def drop_traces(graph: onnx.GraphProto) -> None:
         part.doc_string = ""
 
 
-def roll_graphs(
-    folder: Path, frames: np.ndarray, horizon: int, outputs: list[OutputName]
-) -> dict[OutputName, np.ndarray]:
-    """Run an artefact's graphs on frames; return what they say, [B, N, T, ...] by name."""
-    keep_runtime_silent()
-    import onnxruntime
+class Graphs:
+    """An artefact's graphs, opened on one thread as the service does: to prove and to measure them.
 
-    eye = folder / EYE_FILE
-    encoder = onnxruntime.InferenceSession(folder / ENCODER_FILE)
-    step = onnxruntime.InferenceSession(folder / STEP_FILE)
-    seen = {FRAMES_INPUT: frames}
-    if eye.exists():
-        names = [one.name for one in encoder.get_inputs()]
-        read = onnxruntime.InferenceSession(eye).run(names, seen)
-        seen = dict(zip(names, read, strict=True))
-    values = encoder.run([*STATE_NAMES, *outputs], seen)
-    state, first = values[: len(STATE_NAMES)], values[len(STATE_NAMES) :]
-    rows: dict[OutputName, list[np.ndarray]] = {
-        name: [value] for name, value in zip(outputs, first, strict=True)
-    }
-    stepped = _of_a_step(outputs)
-    for _ in range(horizon - 1):
-        values = step.run(
-            [*(NEXT_PREFIX + name for name in STATE_NAMES), *stepped],
-            dict(zip(STATE_NAMES, state, strict=True)),
-        )
-        state = values[: len(STATE_NAMES)]
-        for name, value in zip(stepped, values[len(STATE_NAMES) :], strict=True):
-            rows[name].append(value)
-    return {
-        name: np.stack(parts, axis=2) if name in stepped else parts[0]
-        for name, parts in rows.items()
-    }
+    Parameters
+    ----------
+    folder
+        ``models/NAME/VERSION``.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        keep_runtime_silent()
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        opened = {
+            file: onnxruntime.InferenceSession(folder / file, options)
+            for file in (EYE_FILE, ENCODER_FILE, STEP_FILE)
+            if (folder / file).exists()
+        }
+        self._eye = opened.get(EYE_FILE)
+        self._encoder, self._step = opened[ENCODER_FILE], opened[STEP_FILE]
+        self._read = [one.name for one in self._encoder.get_inputs()]
+        named = {one.name for one in self._encoder.get_outputs()}
+        self._outputs: list[OutputName] = [name for name in OUTPUT_SHAPES if name in named]
+
+    def roll(self, frames: np.ndarray, horizon: int) -> dict[OutputName, np.ndarray]:
+        """Forecast the steps 0..horizon-1 of frames: outputs [B, N, T, ...] by name."""
+        seen = {FRAMES_INPUT: frames}
+        if self._eye is not None:
+            seen = dict(zip(self._read, self._eye.run(self._read, seen), strict=True))
+        values = self._encoder.run([*STATE_NAMES, *self._outputs], seen)
+        state, first = values[: len(STATE_NAMES)], values[len(STATE_NAMES) :]
+        rows: dict[OutputName, list[np.ndarray]] = {
+            name: [value] for name, value in zip(self._outputs, first, strict=True)
+        }
+        stepped = _of_a_step(self._outputs)
+        for _ in range(horizon - 1):
+            values = self._step.run(
+                [*(NEXT_PREFIX + name for name in STATE_NAMES), *stepped],
+                dict(zip(STATE_NAMES, state, strict=True)),
+            )
+            state = values[: len(STATE_NAMES)]
+            for name, value in zip(stepped, values[len(STATE_NAMES) :], strict=True):
+                rows[name].append(value)
+        return {
+            name: np.stack(parts, axis=2) if name in stepped else parts[0]
+            for name, parts in rows.items()
+        }
 
 
 def present(observation: Observation) -> tuple[Tensor, ...]:

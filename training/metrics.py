@@ -72,18 +72,31 @@ def forecast(
             batch = collate(windows[first : first + batch_size])
             for name, observation in family(batch["frames"].to(device), horizon).items():
                 observed[name].append(observation)
-    truth = (
-        np.stack([w.positions[:, :horizon] for w in windows]).astype(np.float32),
-        np.stack([w.angular_velocities[:, :horizon] for w in windows]).astype(np.float32),
-    )
     made: dict[str, Forecasts] = {}
     for name, parts in observed.items():
         positions = _joined([part.positions for part in parts])
         assert positions is not None
         covariances = _joined([part.covariances for part in parts])
         spins = _joined([part.angular_velocities for part in parts])
-        made[name] = Forecasts(positions, covariances, spins, *truth)
+        made[name] = beside_truth(windows, positions, covariances, spins)
     return made
+
+
+def beside_truth(
+    windows: Sequence[Window],
+    positions: np.ndarray,
+    covariances: np.ndarray | None,
+    angular_velocities: np.ndarray | None,
+) -> Forecasts:
+    """Put forecasts of windows, of any horizon, beside their truth."""
+    steps = positions.shape[2]
+    return Forecasts(
+        positions,
+        covariances,
+        angular_velocities,
+        np.stack([w.positions[:, :steps] for w in windows]).astype(np.float32),
+        np.stack([w.angular_velocities[:, :steps] for w in windows]).astype(np.float32),
+    )
 
 
 def _joined(parts: Sequence[torch.Tensor | None]) -> np.ndarray | None:

@@ -33,8 +33,8 @@ class Objective:
         forecasts = self._forecasts(batch, horizon)
         loss = self._forecast_loss(forecasts, batch, horizon)
         loss = loss + self._reading_loss(forecasts, batch)
-        if recipe.explicit is not None:
-            assert "practice" in batch
+        if "practice" in batch:
+            assert recipe.explicit is not None
             practised = horizon_at(recipe.explicit.curriculum, spent)
             loss = loss + self._practice_loss(batch["practice"], practised)
         return loss

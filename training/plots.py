@@ -1,4 +1,4 @@
-"""Pictures of the results (matplotlib): errors over time, calibration, ellipses over frames."""
+"""Pictures (matplotlib): errors over time, calibration, ellipses over frames, a run's curves."""
 
 import math
 from collections.abc import Sequence
@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from rollcast.plot import PALETTE
 from rollcast.scene import SCENARIOS
@@ -16,6 +17,7 @@ from training.dataset import Window
 from training.metrics import Forecasts
 from training.report import title
 from training.results import LEVELS, Curve
+from training.trainer import EVENTS, LOSS
 
 SIGMAS = 2.0
 """Size of the drawn ellipses, standard deviations."""
@@ -27,6 +29,8 @@ _STYLE: dict[Any, Any] = {
 }
 _LINES = ("-", "--", ":", "-.")
 """Styles that tell methods apart once the colours are used up."""
+_SMOOTHED = 9
+"""Losses that a point of a training's curve is the median of."""
 _BASELINE_STYLES = {"stays put": ":", "line": "--"}
 
 
@@ -55,6 +59,41 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
         )  # fmt: skip
         axes.legend(frameon=False, ncols=2)
         figure.savefig(path, metadata={"Software": None})
+
+
+def draw_training(folder: Path, path: Path) -> None:
+    """Draw the curves of a run: its training loss, smoothed, and its validation errors.
+
+    Parameters
+    ----------
+    folder
+        The run's, with TensorBoard's events.
+    """
+    events = EventAccumulator(str(folder / EVENTS))
+    events.Reload()
+    tags: list[str] = events.Tags()["scalars"]
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+        upper, lower = figure.subplots(2, sharex=True)
+        for tag in tags:
+            axes = upper if tag == LOSS else lower
+            points = events.Scalars(tag)
+            seen = [point.step for point in points]
+            values = np.array([point.value for point in points])
+            marked = {} if len(values) > _SMOOTHED else {"marker": "."}
+            axes.plot(seen, _running_median(values) if tag == LOSS else values, **marked, label=tag)
+        upper.set(ylabel="training loss", yscale="log", title=folder.name)
+        lower.set(xlabel="sequences", ylabel="validation error, px", yscale="log")
+        lower.legend(frameon=False)
+        figure.savefig(path, metadata={"Software": None})
+
+
+def _running_median(values: np.ndarray) -> np.ndarray:
+    """Every value's median with those around it."""
+    half = _SMOOTHED // 2
+    return np.array(
+        [np.median(values[max(k - half, 0) : k + half + 1]) for k in range(len(values))]
+    )
 
 
 def _look(index: int) -> tuple[str, str]:

@@ -27,6 +27,9 @@ from training.survey import survey
 CHECKPOINT = "checkpoint.pt"
 BEST = "best.pt"
 READINGS = "readings.pt"
+EVENTS = "events"
+LOSS = "training/loss"
+"""Tag of the events; all others tell errors in px."""
 READ_TOGETHER = 32
 """Windows that are read at once to be rehearsed."""
 USUAL_GRADIENT_MEMORY = 0.99
@@ -132,14 +135,14 @@ class Trainer:
         windows = validation_windows(recipe, self._pace.simulators)
         stream = iter(self._stream())
         total = self._batches_in_all
-        events = SummaryWriter(str(self.folder / "events"), purge_step=self.sequences)
+        events = SummaryWriter(str(self.folder / EVENTS), purge_step=self.sequences)
         progress = tqdm(total=total, initial=self.batches, unit="batch", desc=recipe.name)
         while self.batches < total and not self._schedule.finished:
             loss = self._step(next(stream), self.batches / total)
             progress.update()
             if self.batches % 20 == 0:
                 progress.set_postfix(loss=f"{loss:.2f}", best=f"{self._best_error:.2f} px")
-                events.add_scalar("training/loss", loss, self.sequences)
+                events.add_scalar(LOSS, loss, self.sequences)
             ended = self.batches == total or self._schedule.finished
             if self.batches % self._pace.validate_every == 0 or ended:
                 self._validate(windows, events)
@@ -184,6 +187,7 @@ class Trainer:
             surveys=[survey(of_source, simulators) for of_source in shards],
             practice=practice,
             seen=seen,
+            scenery=recipe.explicit is not None,
         )
         loader = DataLoader(
             stream,

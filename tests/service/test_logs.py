@@ -8,7 +8,7 @@ from service.logs import JsonLines
 from tests.service.samples import body
 
 
-def written(*args, name="uvicorn.access", level=logging.INFO, exc_info=None) -> dict[str, object]:
+def written(*args, name="service", level=logging.INFO, exc_info=None) -> dict[str, object]:
     """What is written of one record, read again."""
     stream = io.StringIO()
     handler = logging.StreamHandler(stream)
@@ -52,7 +52,16 @@ def test_a_line_is_one_object():
     }
 
 
-def test_an_access_line_has_its_parts():
-    line = written('%s - "%s %s HTTP/%s" %d', "127.0.0.1:5", "POST", "/predict", "1.1", 200)
-    wanted = {"client": "127.0.0.1:5", "method": "POST", "path": "/predict", "status": 200}
+def test_every_answer_leaves_a_line_with_its_parts(client, caplog):
+    with caplog.at_level(logging.INFO, logger="service.access"):
+        client.get("/models/n%0Aone", headers={"x-request-id": "mine"})
+    (record,) = caplog.records
+    stream = io.StringIO()
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(JsonLines())
+    handler.handle(record)
+    line = json.loads(stream.getvalue())
+    assert line.pop("duration_ms") > 0
+    wanted = {"method": "GET", "path": "/models/n%0Aone", "status": 404}
     assert wanted.items() <= line.items()
+    assert "\n" not in record.getMessage()

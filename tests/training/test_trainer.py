@@ -8,12 +8,14 @@ from tests.training.conftest import tiny
 from training.initial import Initial, load_fitting
 from training.models.compact import compact_family
 from training.models.task import Task
+from training.plots import draw_training
 from training.readings import rehearsed
 from training.recipes.compact import one_ball
 from training.recipes.field import (
     field_one_ball,
     field_one_ball_between,
     field_one_ball_rolling,
+    field_one_ball_seeing,
     field_several_balls,
 )
 from training.recipes.recipe import Milestone, horizon_at, longest_rollout
@@ -75,11 +77,21 @@ def test_training_lowers_the_error_and_keeps_the_best(any_recipe, tmp_path):
     error = trainer.run()
     best = torch.load(tmp_path / BEST, weights_only=True)
     assert best["validation_error_px"] == error
+    draw_training(tmp_path, tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").stat().st_size > 10_000
     assert best["sequences"] <= any_recipe.sequences
     assert best["horizon"] == longest_rollout(any_recipe, best["sequences"] / any_recipe.sequences)
     changed = [n for n, v in trainer.family.state_dict().items() if not torch.equal(v, before[n])]
     taught = any_recipe.preset != "sighted"
     assert set(changed) == {name for name in before if taught or ".eye." not in name}
+
+
+def test_only_the_eye_learns_to_see(runs, tmp_path):
+    trainer = Trainer(tiny(field_one_ball_seeing()), tmp_path, PACE)
+    before = {name: value.clone() for name, value in trainer.family.state_dict().items()}
+    trainer.run()
+    changed = {n for n, v in trainer.family.state_dict().items() if not torch.equal(v, before[n])}
+    assert changed == {name for name in before if ".eye." in name}
 
 
 def test_motion_learns_at_a_rate_of_its_own(runs, tmp_path):

@@ -7,7 +7,7 @@ frame, PosNet's first perceptron layer has 256 units.
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 import onnx
@@ -16,8 +16,9 @@ from onnx import numpy_helper
 from torch import Tensor, nn
 from torch.nn import functional
 
-from training.models.blocks import GRID, ObjectInteraction
+from training.models.blocks import GRID, PIXEL_UNIT, ObjectInteraction
 from training.models.predictor import (
+    ANGULAR_VELOCITY_UNIT,
     DirectMotion,
     Family,
     GaussianOutput,
@@ -34,6 +35,11 @@ VGG16 = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512)
 ALONE_CHANNELS, SHARED_CHANNELS = 512, 256
 """Of the state of one ball, and of each of several."""
 HIDDEN = 256
+
+POINT = (PIXEL_UNIT,) * 2
+GAUSSIAN = (*POINT, 1.0, 1.0, 1.0)
+SPIN = (ANGULAR_VELOCITY_UNIT,) * 3
+"""Units of what is read out, in pixels and rad/s."""
 
 Layer = TypeVar("Layer", nn.Conv2d, nn.Linear)
 
@@ -60,7 +66,7 @@ class VggEncoder(nn.Module):
 
     def forward(self, frames_BKHW3: Tensor) -> Tensor:
         """Frames uint8 to s_0 [B, N, C, 8, 8]."""
-        x = frames_BKHW3.permute(0, 1, 4, 2, 3).flatten(1, 2).float() / 255 - 0.5
+        x = frames_BKHW3.permute(0, 1, 4, 2, 3).flatten(1, 2).float() - 127.5
         for index, block in enumerate(self.blocks):
             assert isinstance(block, nn.ModuleList)
             if index > 0:
@@ -78,7 +84,8 @@ class PlainTransition(nn.Module):
         self.interaction = interaction
         seen = channels if interaction is None else 2 * channels
         self.first = _gaussian(nn.Conv2d(seen, 256, 3, padding=1))
-        self.second = _gaussian(nn.Conv2d(256, channels, 3, padding=1))
+        # Nothing rectifies what it says: He's Gaussian would double the state's power every step.
+        self.second = _gaussian(nn.Conv2d(256, channels, 3, padding=1), "linear")
 
     def forward(self, s_BNCHW: Tensor) -> Tensor:
         """s_t to s_{t+1}."""
@@ -88,45 +95,58 @@ class PlainTransition(nn.Module):
 
 
 class Perceptron(nn.Module):
-    """Dense read-out of the whole state: one layer, or two over aug_xy(s_t)."""
+    """Dense read-out of the whole state: one layer, or two over aug_xy(s_t).
+
+    Its last layer says pixels and rad/s, whatever the units outside: sums of 32,768 numbers move
+    too far with every step of RMSProp for anything larger.
+
+    Parameters
+    ----------
+    units
+        Of every output, in pixels or rad/s.
+    """
 
     coordinates: Tensor
+    units: Tensor
 
-    def __init__(self, channels: int, outputs: int, *, two_layers: bool = False) -> None:
+    def __init__(
+        self, channels: int, units: tuple[float, ...], *, two_layers: bool = False
+    ) -> None:
         super().__init__()
         centres = (torch.arange(GRID) + 0.5) * (2 / GRID) - 1
         y, x = torch.meshgrid(centres, centres, indexing="ij")
         self.register_buffer("coordinates", torch.stack([x, y]), persistent=False)
+        self.register_buffer("units", torch.tensor(units), persistent=False)
         width = (channels + 2 * two_layers) * GRID * GRID
         self.hidden = _gaussian(nn.Linear(width, HIDDEN)) if two_layers else None
-        self.last = nn.Linear(HIDDEN if two_layers else width, outputs)
-        nn.init.normal_(self.last.weight, std=1e-3)
-        nn.init.zeros_(self.last.bias)
+        self.last = _gaussian(nn.Linear(HIDDEN if two_layers else width, len(units)), "linear")
 
     def forward(self, s_BNCHW: Tensor) -> Tensor:
         """Read the outputs [B, N, P] from s_t."""
         if self.hidden is None:
-            return self.last(s_BNCHW.flatten(2)).float()
+            return self.last(s_BNCHW.flatten(2)).float() / self.units
         place = self.coordinates.to(s_BNCHW.dtype).expand(*s_BNCHW.shape[:2], -1, -1, -1)
         seen = torch.cat([s_BNCHW, place], dim=2).flatten(2)
-        return self.last(functional.relu(self.hidden(seen))).float()
+        return self.last(functional.relu(self.hidden(seen))).float() / self.units
 
 
 def _posnet(channels: int) -> Head:
-    return Head(DirectMotion(Perceptron(channels, 2, two_layers=True)), PointOutput())
+    return Head(DirectMotion(Perceptron(channels, POINT, two_layers=True)), PointOutput())
 
 
 def _dispnet(channels: int) -> Head:
-    return Head(IncrementalMotion(Perceptron(channels, 2), Perceptron(channels, 2)), PointOutput())
+    return Head(
+        IncrementalMotion(Perceptron(channels, POINT), Perceptron(channels, POINT)), PointOutput()
+    )
 
 
 def _probnet(channels: int) -> Head:
-    motion = IncrementalMotion(Perceptron(channels, 5), Perceptron(channels, 5))
+    motion = IncrementalMotion(Perceptron(channels, GAUSSIAN), Perceptron(channels, GAUSSIAN))
     return Head(motion, GaussianOutput())
 
 
 def _interpnet(channels: int) -> Head:
-    return _dispnet(channels)._replace(final=Perceptron(channels, 2))
+    return _dispnet(channels)._replace(final=Perceptron(channels, POINT))
 
 
 HEADS: Mapping[str, Callable[[int], Head]] = {
@@ -143,7 +163,7 @@ def paper_family(variants: Mapping[str, str], task: Task) -> Family:
     encoder = VggEncoder(task.frames, task.objects, channels)
     met = ObjectInteraction() if task.meetings else None
     transition = PlainTransition(channels, met)
-    spin = Perceptron(channels, 3) if task.angular_velocity else None
+    spin = Perceptron(channels, SPIN) if task.angular_velocity else None
     return SharedStateFamily(
         {
             name: Predictor(encoder, transition, HEADS[variant](channels), spin)
@@ -206,9 +226,9 @@ def _keras_onnx(path: Path) -> dict[int, tuple[Tensor, Tensor]]:
     return {index: (parts[4], parts[1]) for index, parts in found.items() if {1, 4} <= parts.keys()}
 
 
-def _gaussian(layer: Layer) -> Layer:
-    """Draw a layer's weights from He's Gaussian."""
-    nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+def _gaussian(layer: Layer, follows: Literal["relu", "linear"] = "relu") -> Layer:
+    """Draw a layer's weights from the Gaussian that keeps the power of what passes (He et al.)."""
+    nn.init.kaiming_normal_(layer.weight, nonlinearity=follows)
     if layer.bias is not None:
         nn.init.zeros_(layer.bias)
     return layer

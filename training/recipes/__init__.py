@@ -15,6 +15,7 @@ from training.recipes.field import (
     field_one_ball_continued,
     field_one_ball_doubt,
     field_one_ball_rolling,
+    field_one_ball_seeing,
     field_several_balls,
     field_several_balls_between,
 )
@@ -36,6 +37,7 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "3-balls-between": partial(several_balls_between, 3),
     "field-one-ball": field_one_ball,
     "field-one-ball-continued": field_one_ball_continued,
+    "field-one-ball-seeing": field_one_ball_seeing,
     "field-one-ball-rolling": field_one_ball_rolling,
     "field-one-ball-doubt": field_one_ball_doubt,
     "field-2-balls": partial(field_several_balls, 2),

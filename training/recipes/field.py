@@ -54,6 +54,24 @@ def field_one_ball_continued() -> Recipe:
     )
 
 
+def field_one_ball_seeing() -> Recipe:
+    """Train the eye alone, of a network that moves well (``--init``); doubt has to follow.
+
+    Rollouts come in the end: from frames alone an eye learns several times as fast.
+    """
+    recipe = field_one_ball()
+    assert recipe.explicit is not None
+    return replace(
+        recipe,
+        name="field-one-ball-seeing",
+        sequences=384_000,
+        curriculum=(Milestone(0, 1), Milestone(0.97, 1), Milestone(1, 20)),
+        explicit=replace(recipe.explicit, motion=None, practice=0, curriculum=(Milestone(0, 1),)),
+        taught=("rolling.", "first_doubt."),
+        seed=6,
+    )
+
+
 def field_one_ball_rolling() -> Recipe:
     """Train the motion alone, over what a taught eye reads (``--init``).
 
