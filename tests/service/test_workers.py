@@ -45,6 +45,8 @@ def test_a_call_that_is_cancelled_before_its_turn_never_runs(workers):
         waiting = asyncio.create_task(workers.run(ran.set))
         await asyncio.sleep(0)
         waiting.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await waiting
         gate.set()
         await running
         await workers.run(max, 1, 2)
