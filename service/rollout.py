@@ -31,8 +31,14 @@ class Predictor(Protocol):
 
     manifest: Manifest
 
-    def encode(self, frames: UInt8[np.ndarray, "B K 128 128 3"]) -> Step:
-        """Return the first state and the outputs of step t = 0."""
+    def encode(self, frames: UInt8[np.ndarray, "B K 128 128 3"], *, helped: bool = False) -> Step:
+        """Return the first state and the outputs of step t = 0.
+
+        Parameters
+        ----------
+        helped
+            Whether another core is idle and may help.
+        """
         ...
 
     def advance(self, state: Arrays) -> Step:

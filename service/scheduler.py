@@ -289,7 +289,8 @@ class Scheduler:
         if self._waiting and not full:
             room = self._max_batch - max((rollout.rows for rollout in free), default=0)
             members = self._next_waiting(room)
-            return lambda: self._begin(members)
+            helped = bool(self._resting)
+            return lambda: self._begin(members, helped)
         if not free:
             return None
         chosen = (full or free)[0]
@@ -302,8 +303,11 @@ class Scheduler:
         taken = [self._waiting.popleft() for _ in range(min(share, ENCODED_TOGETHER, room))]
         return [member for member in taken if member.future.set_running_or_notify_cancel()]
 
-    def _begin(self, members: list[_Member[Any]]) -> None:
-        """Encode the frames of some requests, those for one model in one batch."""
+    def _begin(self, members: list[_Member[Any]], helped: bool) -> None:
+        """Encode the frames of some requests, those for one model in one batch.
+
+        While a thread rests its core helps, so that a request alone is there sooner.
+        """
         by_model: dict[Predictor, list[tuple[_Member[Any], Seen]]] = defaultdict(list)
         for member in members:
             seen = member.begin()
@@ -311,9 +315,10 @@ class Scheduler:
                 by_model[seen.predictor].append((member, seen))
         for predictor, group in by_model.items():
             together = _Together([member for member, _ in group], {})
-            frames = [seen.frames for _, seen in group]
+            parts = [seen.frames for _, seen in group]
             try:
-                step = predictor.encode(frames[0] if len(frames) == 1 else np.concatenate(frames))
+                frames = parts[0] if len(parts) == 1 else np.concatenate(parts)
+                step = predictor.encode(frames, helped=helped)
             except BaseException as error:  # whatever the runtime raises
                 together.fail(error)
                 continue

@@ -13,6 +13,7 @@ import onnx
 import torch
 from torch import Tensor
 
+from rollcast.eye import FINALS, PLACES, look
 from rollcast.manifest import (
     ENCODER_FILE,
     EYE_FILE,
@@ -22,14 +23,15 @@ from rollcast.manifest import (
     STEP_FILE,
     OutputName,
 )
+from rollcast.trajectory import OBSERVED_FRAMES
 from training.models.eye import Eye, EyedNetwork, looked
 from training.models.predictor import Network, Observation, Reading, State
 from training.settings import keep_runtime_silent
 from training.storage import rename, store_in_bytes
 
 STATE_NAMES = State._fields
-READ_NAMES = (*Reading._fields[1:], "finals")
-"""What the eye's graph says; the last only where a final frame is seen."""
+READ_NAMES = Reading._fields[1:]
+"""What an encoder reads; where a final frame is seen, the places there too."""
 _OWN_PREFIX = "network."
 
 
@@ -41,9 +43,9 @@ class EyeGraph(torch.nn.Module):
         self.eye = eye
 
     def forward(self, frames: Tensor) -> tuple[Tensor, ...]:
-        """Frames to READ_NAMES, as positional tensors."""
-        (_, *read), finals = looked(self.eye, frames)
-        return (*read, finals) if finals is not None else tuple(read)
+        """Frames to the places in the last of them and READ_NAMES, as positional tensors."""
+        (positions, *read) = self.eye(frames)
+        return positions[-1][:, :, -1], *read
 
 
 class ReadEncoderGraph(torch.nn.Module):
@@ -63,7 +65,7 @@ class ReadEncoderGraph(torch.nn.Module):
         features: Tensor,
         finals: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
-        """READ_NAMES to the state and the first observation, as positional tensors."""
+        """Turn what was read into the state and the first observation, as positional tensors."""
         reading = Reading((), ground, measures, centres, velocities, spins, features)
         state = self.network.begin(reading, finals)
         return *state, *present(self.network.observe_first(state))
@@ -107,12 +109,16 @@ def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
     encoded = [*STATE_NAMES, *outputs]
     if isinstance(predictor, EyedNetwork):
         (eye,) = (EyeGraph(part) for part in predictor.modules() if isinstance(part, Eye))
+        seen, read_names = (frames[:, :OBSERVED_FRAMES],), [PLACES, *READ_NAMES]
+        _write_graph(eye, seen, [FRAMES_INPUT], read_names, folder / EYE_FILE)
         with torch.inference_mode():
-            read = eye(frames)
-        names = READ_NAMES[: len(read)]
-        _write_graph(eye, (frames,), [FRAMES_INPUT], names, folder / EYE_FILE)
+            (_, *read), finals = looked(eye.eye, frames)
+        names = list(READ_NAMES)
+        if finals is not None:
+            names.append(FINALS)
+            read.append(finals)
         encoder = ReadEncoderGraph(predictor)
-        _write_graph(encoder, read, names, encoded, folder / ENCODER_FILE)
+        _write_graph(encoder, tuple(read), names, encoded, folder / ENCODER_FILE)
     else:
         (folder / EYE_FILE).unlink(missing_ok=True)
         encoder = EncoderGraph(predictor)
@@ -192,7 +198,7 @@ class Graphs:
         """Forecast the steps 0..horizon-1 of frames: outputs [B, N, T, ...] by name."""
         seen = {FRAMES_INPUT: frames}
         if self._eye is not None:
-            seen = dict(zip(self._read, self._eye.run(self._read, seen), strict=True))
+            seen = look(self._eye.run, self._read, frames)
         values = self._encoder.run([*STATE_NAMES, *self._outputs], seen)
         state, first = values[: len(STATE_NAMES)], values[len(STATE_NAMES) :]
         rows: dict[OutputName, list[np.ndarray]] = {

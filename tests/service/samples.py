@@ -120,7 +120,7 @@ class DotPredictor:
     def __init__(self, manifest: Manifest) -> None:
         self.manifest = manifest
 
-    def encode(self, frames: np.ndarray) -> Step:
+    def encode(self, frames: np.ndarray, *, helped: bool = False) -> Step:
         positions = _centroids(frames)[:, :, None].repeat(self.manifest.objects, axis=2)
         step = self._step(positions[:, 3], positions[:, 3] - positions[:, 2])
         if self.manifest.final_step is None:

@@ -224,7 +224,7 @@ def test_a_fault_of_the_service_tells_nothing_of_its_inside(start):
     model = served()
 
     class Failing(type(model.predictor)):
-        def encode(self, frames):
+        def encode(self, frames, *, helped=False):
             raise RuntimeError("secret path /root")
 
     broken = type(model)("dot", 1, model.manifest, Failing(model.manifest))

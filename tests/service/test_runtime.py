@@ -21,13 +21,14 @@ MODELS = Path(__file__).parents[2] / "models"
 
 @pytest.fixture
 def opened(monkeypatch):
-    """Names of the graphs that are opened, with no eye open before."""
+    """Names of the graphs that are opened for one core, with no eye open before."""
     names: list[str] = []
     open_session = runtime._session
 
-    def note(path):
-        names.append(path.name)
-        return open_session(path)
+    def note(path, threads=1):
+        if threads == 1:
+            names.append(path.name)
+        return open_session(path, threads)
 
     monkeypatch.setattr(runtime, "_session", note)
     monkeypatch.setattr(runtime, "_eyes", WeakValueDictionary())
@@ -39,14 +40,27 @@ def predictor(name: str) -> OnnxPredictor:
     return OnnxPredictor(folder, Manifest.read(folder / MANIFEST_FILE))
 
 
-def test_models_with_the_same_eye_share_it(opened):
-    first, second = predictor("fieldnet"), predictor("posnet")
-    assert opened == [EYE_FILE, ENCODER_FILE, STEP_FILE, ENCODER_FILE, STEP_FILE]
-    for name, model in (("fieldnet", first), ("posnet", second)):
+def test_models_with_the_same_eye_share_it_whether_they_see_a_final_frame_or_not(opened):
+    names = ("fieldnet", "posnet", "interpnet")
+    models = [predictor(name) for name in names]
+    assert opened == [EYE_FILE, *(3 * [ENCODER_FILE, STEP_FILE])]
+    for name, model in zip(names, models, strict=True):
         with np.load(MODELS / name / "1" / GOLDEN_FILE) as golden:
             outputs = model.encode(golden["frames"]).outputs
             difference = outputs["positions"] - golden["positions"][:, :, 0]
         assert np.abs(difference).max() < 0.01
+
+
+@pytest.mark.parametrize("name", ["fieldnet", "fieldnet-between"])
+def test_a_second_core_changes_no_bit(name):
+    model = predictor(name)
+    with np.load(MODELS / name / "1" / GOLDEN_FILE) as golden:
+        frames = golden["frames"]
+    for rows in (frames[:1], frames):
+        alone, helped = model.encode(rows), model.encode(rows, helped=True)
+        for mine, other in ((alone.state, helped.state), (alone.outputs, helped.outputs)):
+            for key, value in mine.items():
+                np.testing.assert_array_equal(value, other[key])
 
 
 def test_an_eye_that_nobody_uses_is_let_go(opened):

@@ -24,11 +24,13 @@ class Counting:
     def __init__(self) -> None:
         self.batches: list[int] = []
         self.encoded: list[int] = []
+        self.helped: list[bool] = []
         self.gate = threading.Event()
         self.gate.set()
 
-    def encode(self, frames):
+    def encode(self, frames, *, helped=False):
         self.encoded.append(len(frames))
+        self.helped.append(helped)
         return self.step(frames)
 
     def advance(self, state):
@@ -97,6 +99,32 @@ def test_requests_of_any_size_and_horizon_get_their_own_steps(start, network, th
     futures = [scheduler.submit(job, Patience()) for job in jobs]
     assert [future.result(SECONDS) for future in futures] == [job.expected for job in jobs]
     assert scheduler.idle
+
+
+def test_a_core_that_is_idle_helps_a_request_alone(start, network):
+    scheduler = start(threads=2)
+    for begin in (10, 20):
+        assert scheduler.submit(job := Count(network, [begin], 3), Patience()).result(SECONDS)
+        assert len(job.seen) == 3
+    assert network.helped == [True, True]
+
+
+def test_no_core_helps_while_all_compute(start, network):
+    scheduler = start(threads=2)
+    network.gate.clear()
+    first = scheduler.submit(Count(network, [10], 3), Patience())
+    while not network.encoded:  # its rollout waits at the gate
+        threading.Event().wait(0.001)
+    second = scheduler.submit(Count(network, [20], 1), Patience())
+    second.result(SECONDS)
+    network.gate.set()
+    first.result(SECONDS)
+    assert network.helped == [True, False]
+
+
+def test_one_thread_is_never_helped(start, network):
+    start(threads=1).submit(Count(network, [10], 3), Patience()).result(SECONDS)
+    assert network.helped == [False]
 
 
 def test_what_waits_is_encoded_first_and_then_steps_together(start, network):
@@ -240,7 +268,7 @@ def test_one_failure_is_the_answer_of_one_request(start, network):
 
 @pytest.mark.parametrize("method", ["encode", "advance"])
 def test_a_network_that_fails_fails_those_who_share_its_batch(start, network, method):
-    def fail(_):
+    def fail(*_, **__):
         raise RuntimeError("out of memory")
 
     setattr(network, method, fail)

@@ -60,10 +60,10 @@ def test_a_full_queue_is_429_with_retry_after(start):
     model = samples.served()
 
     class Slow(samples.DotPredictor):
-        def encode(self, frames):
+        def encode(self, frames, *, helped=False):
             entered.release()
             gate.wait(30)
-            return super().encode(frames)
+            return super().encode(frames, helped=helped)
 
     slow = samples.Model("dot", 1, model.manifest, Slow(model.manifest))
     client = start(
