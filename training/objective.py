@@ -15,6 +15,7 @@ from training.models.predictor import (
     in_float32,
 )
 from training.models.sighted import SightedFamily
+from training.precision import mixed_precision
 from training.recipes.recipe import Recipe, horizon_at
 
 
@@ -46,13 +47,13 @@ class Objective:
             state = State(s.to(self.device), p.to(self.device))
             seen = Sight(state, None if finals is None else finals.to(self.device))
             return self._practised(seen, horizon)
-        with torch.autocast(self.device.type, torch.bfloat16):
+        with mixed_precision(self.device):
             return _all_in_float32(self.family(batch["frames"].to(self.device), horizon))
 
     def _practised(self, sight: Sight, horizon: int) -> dict[str, Observation]:
         """Return every member's forecasts from what was read, or is true."""
         assert isinstance(self.family, EyedFamily)
-        with torch.autocast(self.device.type, torch.bfloat16):
+        with mixed_precision(self.device):
             return _all_in_float32(self.family.practise(sight, horizon))
 
     def _forecast_loss(

@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from training.dataset import FRAME_SHAPE, Batch
 from training.models.predictor import EyedFamily, Sight, State
+from training.precision import mixed_precision
 
 TRUTH = ("positions", "angular_velocities")
 
@@ -31,7 +32,7 @@ def read_windows(family: EyedFamily, stream: Iterator[Batch], windows: int, path
     progress = tqdm(total=windows, unit="window", desc="reading")
     while seen < windows:
         batch = next(stream)
-        with torch.no_grad(), torch.autocast(device.type, torch.bfloat16):
+        with torch.no_grad(), mixed_precision(device):
             sight = family.sight(batch["frames"].to(device))
         # A map of the ground has no use for more digits than halves have.
         read = {"s": sight.state.s.half(), "p": sight.state.p.float()}

@@ -9,7 +9,6 @@ frames. Shape suffixes as in ``blocks.py``.
 """
 
 from abc import abstractmethod
-from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 import torch
@@ -21,6 +20,7 @@ from rollcast.camera import BOWL_HALF_WIDTH_M, NETWORK_FRAME_SIZE
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 from training.models.blocks import PIXEL_UNIT, ResidualConv, cell_centres, normalised_frames
 from training.models.predictor import ANGULAR_VELOCITY_UNIT, Network, Reading, State
+from training.precision import full_precision
 
 FEATURES = 128
 """Numbers that the closest look says of every ball besides its positions."""
@@ -39,13 +39,6 @@ SMALLEST_RADIUS = 0.02
 
 SAMPLE_AHEAD = (0.0, 0.5, 1.0)
 """Frames ahead at which the ground is felt for the first velocity."""
-
-
-def full_precision(device: torch.device) -> AbstractContextManager[object]:
-    """Leave autocast: a rollout adds small changes, which bfloat16 would round away."""
-    if torch.is_autocast_enabled(device.type):
-        return torch.autocast(device.type, enabled=False)
-    return nullcontext()
 
 
 def of_each(module: nn.Module, x: Tensor) -> Tensor:

@@ -13,7 +13,6 @@ from training.models.eye import (
     FEATURES,
     Eye,
     EyedNetwork,
-    full_precision,
     looked,
     of_each,
     radius_of,
@@ -32,6 +31,7 @@ from training.models.predictor import (
     pixels,
 )
 from training.models.task import Task
+from training.precision import full_precision
 
 AHEAD = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Frames ahead, at the present velocity, at which the ground is felt."""

@@ -18,7 +18,7 @@ from training.models.blocks import (
     cell_centres,
 )
 from training.models.compact import CHANNELS, composed
-from training.models.eye import Eye, EyedNetwork, full_precision, looked
+from training.models.eye import Eye, EyedNetwork, looked
 from training.models.fieldnet import Ball, seen_state
 from training.models.predictor import (
     EyedFamily,
@@ -31,6 +31,7 @@ from training.models.predictor import (
     State,
 )
 from training.models.task import Task
+from training.precision import full_precision
 
 FOLD = 4
 """The ground's 32 x 32 cells are folded into the state's 8 x 8: so many a side go into one."""
