@@ -10,6 +10,8 @@ UV_VERSION := 0.13.9
 TORCH_FREE_TESTS := $(wildcard tests/service tests/contract)
 # Other people's clients have an environment of their own, and so has every framework of make bench.
 PROTOCOL_TESTS := tests/protocol
+# Those of the images take long, need root and tools of Debian's: make image-test.
+IMAGE_TESTS := tests/image
 PEERS := peer-fastapi peer-litserve peer-bentoml peer-ray
 
 export PYTHON
@@ -26,13 +28,14 @@ define step
 	@printf -- '--- %s\n' '$(1)'; $(2) || { printf 'rollcast: FAILED: %s\n' '$(1)' >&2; exit 1; }
 endef
 
-.PHONY: help serve test bench format lint environments lock clean
+.PHONY: help serve test bench image-test format lint environments lock clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make serve    serve the committed models on http://127.0.0.1:8000 (PORT=... picks another port)'
 	@echo 'make test     run every check and test'
 	@echo 'make bench    measure the service beside the bare loop; on a machine that does nothing else'
+	@echo 'make image-test  build the images and try them; needs root, debootstrap, buildah and podman'
 	@echo 'make format   format the code'
 	@echo 'make lint     the checks of make test without its tests'
 	@echo 'make lock     compile requirements/*.txt anew from pyproject.toml (UPGRADE=1: newest versions)'
@@ -43,7 +46,7 @@ serve:
 	@exec .venv/service/bin/python -m service --host 127.0.0.1 --port $(PORT)
 
 test: environments lint
-	$(call step,tests,$(BIN)/python -m pytest tests $(TORCH_FREE_TESTS:%=--ignore=%) $(PROTOCOL_TESTS:%=--ignore=%) $(PYTEST_ARGS))
+	$(call step,tests,$(BIN)/python -m pytest tests $(TORCH_FREE_TESTS:%=--ignore=%) $(PROTOCOL_TESTS:%=--ignore=%) $(IMAGE_TESTS:%=--ignore=%) $(PYTEST_ARGS))
 	$(call step,no torch in the service environment,! .venv/service/bin/python -c 'import torch' 2>/dev/null)
 	$(call step,tests without torch,.venv/service-test/bin/python -m pytest $(or $(TORCH_FREE_TESTS),tests/service) $(PYTEST_ARGS))
 	$(call step,clients of the protocol,.venv/protocol/bin/python -m pytest $(PROTOCOL_TESTS) $(PYTEST_ARGS))
@@ -53,6 +56,11 @@ bench:
 	@tools/environment.sh service
 	@for name in bench $(PEERS); do tools/environment.sh $$name || exit 1; done
 	@.venv/bench/bin/python -m tests.bench.run $(BENCH_ARGS)
+
+image-test:
+	@tools/environment.sh service
+	@tools/environment.sh image
+	$(call step,images,.venv/image/bin/python -m pytest $(IMAGE_TESTS) $(PYTEST_ARGS))
 
 lint:
 	@tools/environment.sh test --torch
@@ -85,9 +93,11 @@ lock:
 		--output-file requirements/service.txt
 	$(UV_COMPILE) --extra service --extra test --constraint requirements/test.txt \
 		--output-file requirements/service-test.txt
+	$(UV_COMPILE) --extra training --constraint requirements/test.txt \
+		--output-file requirements/training.txt
 	$(UV_COMPILE) --extra bench --constraint requirements/test.txt \
 		--output-file requirements/bench.txt
-	$(foreach name,protocol $(PEERS),$(UV_COMPILE:pyproject.toml=) \
+	$(foreach name,protocol image $(PEERS),$(UV_COMPILE:pyproject.toml=) \
 		--group pyproject.toml:$(name) --output-file requirements/$(name).txt &&) true
 
 clean:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
+import httpx2
 import pytest
 
 from rollcast.client import Client
@@ -30,10 +31,15 @@ def start_service(
         text=True,
     )
     assert process.stdout is not None
-    line = process.stdout.readline()
+    return process, said_address(process.stdout)
+
+
+def said_address(output: IO[str]) -> str:
+    """Return the address that a service says when it begins to listen."""
+    line = output.readline()
     found = re.search(r"http://\S+", line)
     assert found, f"the service said {line!r}"
-    return process, found.group()
+    return found.group()
 
 
 def stop_service(process: subprocess.Popen[str]) -> int:
@@ -47,6 +53,14 @@ def wait_until_ready(client: Client) -> None:
     while client.health().status == "loading":
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+def held(address: str) -> int:
+    """Forecasts that run or wait."""
+    text = httpx2.get(f"{address}/metrics").text
+    found = re.search(r'^rollcast_held\{workers="inference"\} (\S+)', text, re.MULTILINE)
+    assert found
+    return int(float(found.group(1)))
 
 
 @pytest.fixture(scope="session")

@@ -1,27 +1,17 @@
 """What a real server does when it is told to stop."""
 
-import re
 import signal
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-import httpx2
 import numpy as np
 import pytest
 
 from rollcast.client import Client
 from rollcast.errors import ServiceFailedError, UnreachableError
-from tests.e2e.conftest import start_service, stop_service, wait_until_ready
+from tests.e2e.conftest import held, start_service, stop_service, wait_until_ready
 
 LONGEST_HORIZON = 1000
-
-
-def held(address: str) -> int:
-    """Forecasts that run or wait."""
-    text = httpx2.get(f"{address}/metrics").text
-    found = re.search(r'^rollcast_held\{workers="inference"\} (\S+)', text, re.MULTILINE)
-    assert found
-    return int(float(found.group(1)))
 
 
 def health(client: Client) -> Iterator[str]:

@@ -1,0 +1,45 @@
+# The service with its models, without torch.
+#
+#   docker build -f docker/service.Dockerfile -t rollcast .
+#   docker run --read-only --tmpfs /tmp -p 127.0.0.1:8000:8000 rollcast
+
+FROM docker.io/library/python:3.11-slim-bookworm AS build
+RUN python -m venv /opt/rollcast
+COPY requirements/service.txt /tmp/
+RUN /opt/rollcast/bin/pip install --no-cache-dir --no-compile --no-input --require-hashes \
+        -r /tmp/service.txt \
+    && /opt/rollcast/bin/pip check
+# The service simulates against its own surfaces and draws its own pictures: PyBullet's robots, its
+# learning environments and its renderer on a graphics card are not needed, nor what installs.
+WORKDIR /opt/rollcast/lib/python3.11/site-packages
+RUN rm -rf pybullet_data pybullet_envs pybullet_examples pybullet_robots pybullet_utils \
+        eglRenderer*.so pip pip-* setuptools setuptools-* _distutils_hack distutils-precedence.pth \
+    && rm -f /opt/rollcast/bin/pip*
+WORKDIR /app
+COPY rollcast rollcast
+COPY service service
+RUN /opt/rollcast/bin/python -m compileall -q -j 0 --invalidation-mode unchecked-hash \
+        /opt/rollcast/lib /app
+
+FROM docker.io/library/python:3.11-slim-bookworm
+LABEL org.opencontainers.image.title="Rollcast" \
+      org.opencontainers.image.description="Forecasts where rolling balls go from four video frames." \
+      org.opencontainers.image.licenses="Apache-2.0" \
+      org.opencontainers.image.version="0.1.0"
+RUN useradd --system --uid 10001 --user-group --no-create-home rollcast
+COPY --from=build /opt/rollcast /opt/rollcast
+COPY --from=build /app /app
+COPY LICENSE /app/
+COPY models /app/models
+ENV PATH=/opt/rollcast/bin:$PATH \
+    PYTHONDONTWRITEBYTECODE=1 \
+    PYTHONUNBUFFERED=1
+WORKDIR /app
+USER 10001:10001
+EXPOSE 8000
+STOPSIGNAL SIGTERM
+HEALTHCHECK --interval=10s --timeout=3s --start-period=20s --retries=3 \
+    CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8000/health/live', timeout=2)"]
+ENTRYPOINT ["python", "-m", "service"]
+# Within the container every address is meant: who reaches them is said where it is run.
+CMD ["--host", "0.0.0.0", "--port", "8000"]

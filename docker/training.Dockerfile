@@ -1,0 +1,36 @@
+# The training, with torch for processors; data sets and checkpoints go to the volume /runs.
+#
+#   docker build -f docker/training.Dockerfile -t rollcast-training .
+#   docker run -v rollcast-runs:/runs rollcast-training train field-one-ball
+#
+# TORCH_INSTALL_ARGS may give pip further arguments for torch (an index with the wanted build).
+
+FROM docker.io/library/python:3.11-slim-bookworm AS build
+ARG TORCH_INSTALL_ARGS=""
+RUN python -m venv /opt/rollcast
+COPY requirements/training.txt requirements/constraints-torch.txt /tmp/
+RUN /opt/rollcast/bin/pip install --no-cache-dir --no-input --require-hashes -r /tmp/training.txt \
+    && /opt/rollcast/bin/pip install --no-cache-dir --no-input -c /tmp/constraints-torch.txt \
+        ${TORCH_INSTALL_ARGS} torch \
+    && /opt/rollcast/bin/pip check
+
+FROM docker.io/library/python:3.11-slim-bookworm
+LABEL org.opencontainers.image.title="Rollcast training" \
+      org.opencontainers.image.licenses="Apache-2.0" \
+      org.opencontainers.image.version="0.1.0"
+RUN useradd --system --uid 10001 --user-group --no-create-home rollcast \
+    && install -d -o rollcast -g rollcast /runs
+COPY --from=build /opt/rollcast /opt/rollcast
+WORKDIR /app
+COPY LICENSE ./
+COPY rollcast rollcast
+COPY training training
+COPY models models
+ENV PATH=/opt/rollcast/bin:$PATH \
+    PYTHONDONTWRITEBYTECODE=1 \
+    PYTHONUNBUFFERED=1 \
+    ROLLCAST_RUNS=/runs
+VOLUME /runs
+USER 10001:10001
+ENTRYPOINT ["python", "-m", "training"]
+CMD ["--help"]

@@ -1,0 +1,93 @@
+"""The service's image: what is in it, what it answers, how it stops."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from rollcast.client import Client
+from tests.e2e.conftest import held
+from tests.image.conftest import BASE
+
+IMAGE = "rollcast-service:test"
+MOST_MB = 600
+LOAD = 16
+LONG_HORIZON = 400
+
+
+def test_it_is_small_and_says_what_it_is(service_images):
+    image, base = service_images.inspect(IMAGE), service_images.inspect(BASE)
+    beyond = (image["Size"] - base["Size"]) / 1e6
+    print(f"{beyond:.0f} MB beyond the base")
+    assert beyond < MOST_MB
+    assert image["User"] == "10001:10001"
+    assert image["Labels"]["org.opencontainers.image.title"] == "Rollcast"
+    assert image["Config"]["StopSignal"] in {"SIGTERM", "15"}
+    # Every address is bound by a flag that is there to be seen.
+    assert image["Config"]["Cmd"][:2] == ["--host", "0.0.0.0"]
+
+
+def test_it_holds_neither_torch_nor_robots(service_images, container):
+    name, _ = container
+    for package in ("torch", "pybullet_data", "pip"):
+        done = service_images.podman("exec", name, "python", "-c", f"import {package}")
+        assert "ModuleNotFoundError" in done.stdout
+
+
+def test_it_runs_as_nobody_on_a_root_that_cannot_be_written(service_images, container):
+    name, _ = container
+    assert service_images.podman("exec", name, "id", "-u").stdout.strip() == "10001"
+    written = service_images.podman("exec", name, "sh", "-c", "touch /app/here")
+    assert "Read-only file system" in written.stdout
+
+
+def test_its_health_check_tells_a_service_from_none(service_images, container):
+    name, address = container
+    _, *check = service_images.inspect(IMAGE)["Healthcheck"]["Test"]
+    port = address.rpartition(":")[2]
+    there = [part.replace("8000", port) for part in check]
+    nowhere = [part.replace("8000", "9") for part in check]
+    assert service_images.podman("exec", name, *there).returncode == 0
+    assert service_images.podman("exec", name, *nowhere).returncode != 0
+
+
+@pytest.mark.parametrize(
+    ("model", "scenario", "objects"),
+    [("auto", "hemisphere", 1), ("posnet", "heightfield", 1), ("auto", "ellipsoid", 2)],
+)
+def test_it_answers_as_the_checkout_does(container, checkout, model, scenario, objects):
+    _, address = container
+    with Client(address) as image, Client(checkout) as own:
+        scene = image.simulate(scenario, objects=objects, seed=7, steps=8)
+        np.testing.assert_array_equal(
+            scene.frames, own.simulate(scenario, objects=objects, seed=7, steps=8).frames
+        )
+        asked = {"model": model, "objects": objects, "scenario": scenario}
+        trained = own.predict(scene.frames[:4], **asked).model.trained_horizon
+        forecasts = [
+            client.predict(scene.frames[:4], horizon=trained, **asked) for client in (image, own)
+        ]
+    there, here = forecasts
+    assert there.model == here.model
+    np.testing.assert_allclose(there.positions, here.positions, rtol=0, atol=1e-2)
+
+
+def test_it_answers_what_it_has_accepted_when_it_is_told_to_stop(service_images, container):
+    name, address = container
+    with Client(address) as client:
+        frames = client.simulate("hemisphere", seed=1, steps=4).frames
+
+    def forecast(_: int) -> int:
+        with Client(address) as client:
+            return len(client.predict(frames, model="dispnet", horizon=LONG_HORIZON).times_s)
+
+    with ThreadPoolExecutor(LOAD) as threads:
+        answers = [threads.submit(forecast, k) for k in range(LOAD)]
+        while held(address) < LOAD:
+            assert not all(answer.done() for answer in answers)
+        stopped = service_images.podman("stop", "--time", "30", name)
+        assert stopped.returncode == 0
+        assert [answer.result() for answer in answers] == LOAD * [LONG_HORIZON]
+    # 0 or SIGTERM's own, but not what a kill leaves behind (137).
+    ended = service_images.podman("inspect", "--format", "{{.State.ExitCode}}", name)
+    assert ended.stdout.strip() in {"0", "143"}
