@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
+from matplotlib.ticker import LogFormatter
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from rollcast.plot import PALETTE
@@ -73,7 +74,7 @@ def draw_training(folder: Path, path: Path) -> None:
     events.Reload()
     tags: list[str] = events.Tags()["scalars"]
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+        figure = Figure(figsize=(8, 5.2), layout="constrained")
         upper, lower = figure.subplots(2, sharex=True)
         for tag in tags:
             axes = upper if tag == LOSS else lower
@@ -84,7 +85,11 @@ def draw_training(folder: Path, path: Path) -> None:
             axes.plot(seen, _running_median(values) if tag == LOSS else values, **marked, label=tag)
         upper.set(ylabel="training loss", yscale="log", title=folder.name)
         lower.set(xlabel="sequences", ylabel="validation error, px", yscale="log")
-        lower.legend(frameon=False)
+        for axes in (upper, lower):
+            # Plain numbers instead of powers of ten: a curve may span less than a decade.
+            axes.yaxis.set_major_formatter(LogFormatter())
+            axes.yaxis.set_minor_formatter(LogFormatter())
+        lower.legend(frameon=False, loc="upper left", bbox_to_anchor=(1, 1))
         figure.savefig(path, metadata={"Software": None})
 
 
