@@ -8,7 +8,7 @@ import torch
 def mixed_precision(device: torch.device) -> AbstractContextManager[object]:
     """Compute what bears it in bfloat16, where the processor is made for that.
 
-    Without AVX-512 torch convolves bfloat16 number by number, hundreds of times as slowly as
+    Without AVX-512 torch convolves bfloat16 number by number, some twenty times as slowly as
     float32.
     """
     made_for_it = device.type != "cpu" or "AVX512" in torch.backends.cpu.get_cpu_capability()
