@@ -34,7 +34,7 @@ CORES_OF_AN_EYE = min(2, cpu_count())
 class _Eye:
     """An eye's graph, opened for one core and for as many as it may have: the same bits."""
 
-    alone: onnxruntime.InferenceSession
+    unhelped: onnxruntime.InferenceSession
     helped: onnxruntime.InferenceSession
 
 
@@ -73,7 +73,8 @@ class OnnxPredictor:
         if self._eye is None:
             seen = {FRAMES_INPUT: frames}
         else:
-            seen = look((self._eye.helped if helped else self._eye.alone).run, self._read, frames)
+            eye = self._eye.helped if helped else self._eye.unhelped
+            seen = look(eye.run, self._read, frames)
         return self._as_step(self._encoder.run(self._encoded, seen), self._first)
 
     def advance(self, state: Arrays) -> Step:
@@ -93,9 +94,9 @@ def _shared_eye(path: Path, digest: str) -> _Eye:
     with _opening:
         eye = _eyes.get(digest)
         if eye is None:
-            alone = _session(path)
-            helped = alone if CORES_OF_AN_EYE == 1 else _session(path, CORES_OF_AN_EYE)
-            eye = _eyes[digest] = _Eye(alone, helped)
+            unhelped = _session(path)
+            helped = unhelped if CORES_OF_AN_EYE == 1 else _session(path, CORES_OF_AN_EYE)
+            eye = _eyes[digest] = _Eye(unhelped, helped)
         return eye
 
 

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -63,13 +64,20 @@ def held(address: str) -> int:
     return int(float(found.group(1)))
 
 
-@pytest.fixture(scope="session")
-def address() -> Iterator[str]:
+@contextmanager
+def serving() -> Iterator[str]:
+    """Run the service until it is no longer needed; yield its address once it is ready."""
     process, address = start_service()
     with Client(address) as client:
         wait_until_ready(client)
     yield address
     assert stop_service(process) in {0, -signal.SIGTERM}
+
+
+@pytest.fixture(scope="session")
+def address() -> Iterator[str]:
+    with serving() as address:
+        yield address
 
 
 @pytest.fixture

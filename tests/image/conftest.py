@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from rollcast.client import Client
-from tests.e2e.conftest import ROOT, said_address, start_service, stop_service, wait_until_ready
+from tests.e2e.conftest import ROOT, said_address, serving, wait_until_ready
 
 STORE = ROOT / ".images"
 TOOLS = ("debootstrap", "buildah", "podman", "runc", "fuse-overlayfs")
@@ -103,8 +103,5 @@ def container(service_images) -> Iterator[tuple[str, str]]:
 @pytest.fixture(scope="session")
 def checkout() -> Iterator[str]:
     """The address of the server run from the checkout."""
-    process, address = start_service()
-    with Client(address) as client:
-        wait_until_ready(client)
-    yield address
-    stop_service(process)
+    with serving() as address:
+        yield address
