@@ -12,6 +12,10 @@ TORCH_FREE_TESTS := $(wildcard tests/service tests/contract)
 PROTOCOL_TESTS := tests/protocol
 # Those of the images take long, need root and tools of Debian's: make image-test.
 IMAGE_TESTS := tests/image
+# Those of a cluster of Ray's take long too, and Ray warns of much: make cluster-test.
+CLUSTER_TESTS := tests/cluster
+# Six replicas start on fewer cores: Ray would give its proxy up after 5 s.
+ON_RAY := RAY_SERVE_PROXY_READY_CHECK_TIMEOUT_S=60
 PEERS := peer-fastapi peer-litserve peer-bentoml peer-ray
 
 export PYTHON
@@ -19,16 +23,20 @@ export TORCH_INSTALL_ARGS
 # No step looks for newer releases or reports to anyone.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 export ORT_DISABLE_TELEMETRY := 1
+export RAY_USAGE_STATS_ENABLED := 0
 
 BIN := .venv/test/bin
 PYTEST_ARGS ?=
+# Processes that run the tests side by side, a file at a time, each on one core.
+PROCESSES ?= 2
+SIDE_BY_SIDE = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(PROCESSES) --dist loadfile
 
 # $(call step,NAME,COMMAND): one line before the command, and one that says which step failed.
 define step
 	@printf -- '--- %s\n' '$(1)'; $(2) || { printf 'rollcast: FAILED: %s\n' '$(1)' >&2; exit 1; }
 endef
 
-.PHONY: help serve test bench image-test format lint environments lock clean
+.PHONY: help serve test bench image-test cluster-test scaling format lint environments lock clean
 .NOTPARALLEL:
 
 help:
@@ -36,6 +44,8 @@ help:
 	@echo 'make test     run every check and test'
 	@echo 'make bench    measure the service beside the bare loop; on a machine that does nothing else'
 	@echo 'make image-test  build the images and try them; needs root, debootstrap, buildah and podman'
+	@echo 'make cluster-test  try the service on Ray: replicas and nodes are killed under load'
+	@echo 'make scaling  measure the service on Ray, on a machine that does nothing else'
 	@echo 'make format   format the code'
 	@echo 'make lint     the checks of make test without its tests'
 	@echo 'make lock     compile requirements/*.txt anew from pyproject.toml (UPGRADE=1: newest versions)'
@@ -46,7 +56,7 @@ serve:
 	@exec .venv/service/bin/python -m service --host 127.0.0.1 --port $(PORT)
 
 test: environments lint
-	$(call step,tests,$(BIN)/python -m pytest tests $(TORCH_FREE_TESTS:%=--ignore=%) $(PROTOCOL_TESTS:%=--ignore=%) $(IMAGE_TESTS:%=--ignore=%) $(PYTEST_ARGS))
+	$(call step,tests,$(SIDE_BY_SIDE) tests $(TORCH_FREE_TESTS:%=--ignore=%) $(PROTOCOL_TESTS:%=--ignore=%) $(IMAGE_TESTS:%=--ignore=%) $(CLUSTER_TESTS:%=--ignore=%) $(PYTEST_ARGS))
 	$(call step,no torch in the service environment,! .venv/service/bin/python -c 'import torch' 2>/dev/null)
 	$(call step,tests without torch,.venv/service-test/bin/python -m pytest $(or $(TORCH_FREE_TESTS),tests/service) $(PYTEST_ARGS))
 	$(call step,clients of the protocol,.venv/protocol/bin/python -m pytest $(PROTOCOL_TESTS) $(PYTEST_ARGS))
@@ -61,6 +71,16 @@ image-test:
 	@tools/environment.sh service
 	@tools/environment.sh image
 	$(call step,images,.venv/image/bin/python -m pytest $(IMAGE_TESTS) $(PYTEST_ARGS))
+
+cluster-test:
+	@tools/environment.sh service
+	@tools/environment.sh cluster --torch
+	$(call step,cluster,$(ON_RAY) .venv/cluster/bin/python -m pytest -W ignore $(CLUSTER_TESTS) $(PYTEST_ARGS))
+
+scaling:
+	@tools/environment.sh service
+	@tools/environment.sh cluster --torch
+	@$(ON_RAY) .venv/cluster/bin/python -W ignore -m tests.cluster.scaling $(SCALING_ARGS)
 
 lint:
 	@tools/environment.sh test --torch
@@ -80,7 +100,8 @@ environments:
 	@tools/environment.sh service-test
 	@tools/environment.sh protocol
 
-# The lock of the tests holds every package; the others take their versions from it.
+# The lock of the tests holds every package but Ray; the others take their versions from it.
+TEST_EXTRAS := simulation video service training test bench lint
 UV_COMPILE = .venv/lock/bin/uv pip compile pyproject.toml --quiet --universal --python-version 3.11 \
 	--generate-hashes --no-emit-package torch --annotation-style line --no-emit-index-url \
 	--custom-compile-command 'make lock' $(if $(UPGRADE),--upgrade)
@@ -88,13 +109,17 @@ UV_COMPILE = .venv/lock/bin/uv pip compile pyproject.toml --quiet --universal --
 lock:
 	@test -x .venv/lock/bin/uv || { $(or $(PYTHON),python3) -m venv .venv/lock; }
 	@.venv/lock/bin/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION)
-	$(UV_COMPILE) --all-extras --output-file requirements/test.txt
+	$(UV_COMPILE) $(TEST_EXTRAS:%=--extra %) --output-file requirements/test.txt
 	$(UV_COMPILE) --extra service --constraint requirements/test.txt \
 		--output-file requirements/service.txt
 	$(UV_COMPILE) --extra service --extra test --constraint requirements/test.txt \
 		--output-file requirements/service-test.txt
 	$(UV_COMPILE) --extra training --constraint requirements/test.txt \
 		--output-file requirements/training.txt
+	$(UV_COMPILE) --extra ray --constraint requirements/test.txt \
+		--output-file requirements/ray.txt
+	$(UV_COMPILE) --extra ray --extra ray-training --extra test --extra bench --constraint requirements/test.txt \
+		--output-file requirements/cluster.txt
 	$(UV_COMPILE) --extra bench --constraint requirements/test.txt \
 		--output-file requirements/bench.txt
 	$(foreach name,protocol image $(PEERS),$(UV_COMPILE:pyproject.toml=) \

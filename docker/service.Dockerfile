@@ -2,12 +2,17 @@
 #
 #   docker build -f docker/service.Dockerfile -t rollcast .
 #   docker run --read-only --tmpfs /tmp -p 127.0.0.1:8000:8000 rollcast
+#
+# With Ray, for docker/kubernetes/ray.yaml:
+#
+#   docker build -f docker/service.Dockerfile --build-arg LOCK=ray -t rollcast-ray .
 
 FROM docker.io/library/python:3.11-slim-bookworm AS build
+ARG LOCK=service
 RUN python -m venv /opt/rollcast
-COPY requirements/service.txt /tmp/
+COPY requirements/${LOCK}.txt /tmp/
 RUN /opt/rollcast/bin/pip install --no-cache-dir --no-compile --no-input --require-hashes \
-        -r /tmp/service.txt \
+        -r /tmp/${LOCK}.txt \
     && /opt/rollcast/bin/pip check
 # The service simulates against its own surfaces and draws its own pictures: PyBullet's robots, its
 # learning environments and its renderer on a graphics card are not needed, nor what installs.

@@ -61,7 +61,15 @@ class CropError(FootageError):
 
 
 class ClientError(RollcastError):
-    """A call to the service failed."""
+    """A call to the service failed.
+
+    Attributes
+    ----------
+    retry_after_s
+        Seconds after which the service asks to be tried again; 0 where it says nothing.
+    """
+
+    retry_after_s: float = 0.0
 
 
 class UnreachableError(ClientError):
@@ -69,7 +77,17 @@ class UnreachableError(ClientError):
 
 
 class UnexpectedAnswerError(ClientError):
-    """The answer is not one of this API's: something else listens at the address."""
+    """The answer is not one of this API's: something else listens, or stands in between.
+
+    Attributes
+    ----------
+    status
+        Its HTTP status.
+    """
+
+    def __init__(self, message: str, status: int) -> None:
+        super().__init__(message)
+        self.status = status
 
 
 class ProblemError(ClientError):
@@ -95,17 +113,7 @@ class RefusedError(ProblemError):
 
 
 class BusyError(ProblemError):
-    """The service's queue is full.
-
-    Attributes
-    ----------
-    retry_after_s
-        Seconds after which the service asks to be tried again.
-    """
-
-    def __init__(self, problem: "Problem", retry_after_s: float) -> None:
-        super().__init__(problem)
-        self.retry_after_s = retry_after_s
+    """The service's queue is full."""
 
 
 class ServiceFailedError(ProblemError):

@@ -90,7 +90,7 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
     install_problem_handlers(app)
     install_openapi(app)
     figures.watch_requests(app)
-    install_access_log(app)
+    install_access_log(app, settings.replica)
     for feature in (predict, simulate, models, inference, repository, health, metrics, home):
         app.include_router(feature.router)
     return app

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from rollcast.manifest import (
     CARD_FILE,
+    ENCODER_FILE,
     FRAMES_INPUT,
     GOLDEN_FILE,
     MANIFEST_FILE,
@@ -56,9 +57,16 @@ def load_registry(
     """
     folders = sorted(path for path in models_dir.glob("*/*") if path.name.isdecimal())
     wanted = [folder for folder in folders if name in (None, folder.parent.name)]
+    # Those that take longest first, so that no core is left with one of them in the end.
+    wanted.sort(key=_size_of_encoder, reverse=True)
     # One name is loaded again while others answer: it takes a single core from them.
     with ThreadPoolExecutor(cpu_count() if name is None else 1) as pool:
         return Registry(list(pool.map(partial(_load, open_predictor=open_predictor), wanted)))
+
+
+def _size_of_encoder(folder: Path) -> int:
+    path = folder / ENCODER_FILE
+    return path.stat().st_size if path.is_file() else 0
 
 
 def _load(folder: Path, open_predictor: PredictorFactory) -> Model:

@@ -10,9 +10,10 @@ from asgi_correlation_id import CorrelationIdMiddleware
 from asgi_correlation_id.context import correlation_id
 from fastapi import FastAPI
 from pythonjsonlogger.json import JsonFormatter
+from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-REQUEST_ID_HEADER = "X-Request-ID"
+from rollcast.http import REPLICA_HEADER, REQUEST_ID_HEADER
 
 access = logging.getLogger("service.access")
 
@@ -20,10 +21,19 @@ _REQUEST_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
 
 
 class AccessLog:
-    """Writes a line for every request once it is answered: whoever waits need not wait for that."""
+    """Writes a line for every request once it is answered: whoever waits need not wait for that.
 
-    def __init__(self, app: ASGIApp) -> None:
+    Parameters
+    ----------
+    app
+        What answers.
+    replica
+        Name of this process among several, for the line and a header; "" where it is alone.
+    """
+
+    def __init__(self, app: ASGIApp, replica: str) -> None:
         self._app = app
+        self._replica = replica
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer as the app does."""
@@ -37,6 +47,8 @@ class AccessLog:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
+                if self._replica:
+                    MutableHeaders(scope=message)[REPLICA_HEADER] = self._replica
             await send(message)
 
         try:
@@ -49,15 +61,17 @@ class AccessLog:
                 "status": status,
                 "duration_ms": round(1e3 * (time.perf_counter() - begun), 1),
             }
+            if self._replica:
+                parts["replica"] = self._replica
             access.info("%(method)s %(path)s: %(status)d in %(duration_ms)s ms", parts, extra=parts)
 
 
-def install_access_log(app: FastAPI) -> None:
+def install_access_log(app: FastAPI, replica: str) -> None:
     """Log every request, and give it an id: the client's own where it sends a sound one.
 
-    The id goes back in a header.
+    The id goes back in a header, and so does the name of the replica.
     """
-    app.add_middleware(AccessLog)
+    app.add_middleware(AccessLog, replica=replica)
     app.add_middleware(
         CorrelationIdMiddleware,
         header_name=REQUEST_ID_HEADER,

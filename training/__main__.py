@@ -3,6 +3,7 @@
 import argparse
 import os
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from rollcast.manifest import MANIFEST_FILE, Manifest
@@ -12,6 +13,7 @@ from training.artefact import initial_networks, load_exported
 from training.dissect import dissected, dissection_table
 from training.evaluate import evaluation_sets, markdown_table, metric_rows, run
 from training.export import export_run, with_covariance
+from training.initial import Initial
 from training.models.fieldnet import FieldNet
 from training.models.paper import VggEncoder, load_imagenet
 from training.models.predictor import Predictor
@@ -22,7 +24,7 @@ from training.recipes import RECIPES
 from training.report import with_results
 from training.results import committed
 from training.settings import runs_folder
-from training.simulate import Source, simulate_split
+from training.simulate import Source, data_folder, in_processes, make_missing, split_shards
 from training.trainer import Pace, Trainer
 
 MODELS = Path("models")
@@ -56,6 +58,13 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument("--radius", type=float, help="ball radius in metres (default: 0.225)")
     simulate.add_argument("--split", choices=("training", "validation", "test"), default="training")
     simulate.add_argument("--scenes", type=int, default=1000)
+    _add_ray(simulate, "simulate on all its nodes")
+    simulate.add_argument(
+        "--output",
+        metavar="FOLDER",
+        help="path or address that fsspec knows, such as s3://bucket/folder (default: where "
+        "training looks for it in ROLLCAST_RUNS)",
+    )
     simulate.set_defaults(run=_simulate)
 
     calibrate = commands.add_parser(
@@ -84,6 +93,8 @@ def _parser() -> argparse.ArgumentParser:
         help="VGG16 trained on ImageNet (torchvision's .pth or ONNX), for the paper's preset",
     )
     train.add_argument("--validate-every", type=int, default=Pace.validate_every, metavar="BATCHES")
+    _add_ray(train, "train in several processes that share every batch")
+    train.add_argument("--processes", type=int, default=2, help="how many (with --ray)")
     train.set_defaults(run=_train)
 
     curve = commands.add_parser("curve", help="draw the loss and the validation errors of a run")
@@ -140,6 +151,7 @@ def _parser() -> argparse.ArgumentParser:
         "--sequences", type=int, default=200_000, help="training sequences of a round"
     )
     campaigned.add_argument("--scenes", type=int, default=500, help="test scenes per scenario")
+    _add_ray(campaigned, "train rounds that do not need each other side by side")
     campaigned.set_defaults(run=_campaign)
 
     reported = commands.add_parser(
@@ -149,10 +161,27 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _add_ray(command: argparse.ArgumentParser, what: str) -> None:
+    command.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help=f'{what}: address of a Ray cluster, "auto" for the one that runs on this machine or '
+        '"local" for one that ends with the work (needs the extra ray-training)',
+    )
+
+
 def _simulate(arguments: argparse.Namespace) -> None:
     source = Source(arguments.scenario, arguments.objects, arguments.radius)
-    shards = simulate_split(source, arguments.split, arguments.scenes, arguments.workers)
-    print(f"{len(shards)} shards in {shards[0].parent}")
+    folder = arguments.output or str(data_folder(source, arguments.split))
+    shards = split_shards(source, arguments.split, arguments.scenes, folder)
+    if arguments.ray is None:
+        make = in_processes(arguments.workers)
+    else:
+        from training.cluster import on_ray  # Ray is an extra
+
+        make = on_ray(arguments.ray)
+    make_missing(shards, make, f"{source.name} {arguments.split}")
+    print(f"{len(shards)} shards in {folder}")
 
 
 def _calibrate(arguments: argparse.Namespace) -> None:
@@ -160,18 +189,30 @@ def _calibrate(arguments: argparse.Namespace) -> None:
 
 
 def _train(arguments: argparse.Namespace) -> None:
-    recipe = RECIPES[arguments.recipe]()
     folder = runs_folder() / arguments.recipe
     initial = [one for start in arguments.init for one in initial_networks(start)]
     pace = Pace(arguments.validate_every, simulators=arguments.workers)
+    run = partial(_run_training, arguments.recipe, folder, pace, initial, arguments.imagenet)
+    if arguments.ray is None:
+        error = run()
+    else:
+        from training.cluster import train_together  # Ray is an extra
+
+        error = train_together(arguments.ray, arguments.processes, folder, run)
+    print(f"best mean validation error: {error:.3f} px, kept in {folder}")
+
+
+def _run_training(
+    name: str, folder: Path, pace: Pace, initial: Sequence[Initial], imagenet: Path | None
+) -> float:
+    recipe = RECIPES[name]()
     trainer = Trainer(recipe, folder, pace, initial)
-    if arguments.imagenet is not None:
+    if imagenet is not None:
         network = next(iter(trainer.family.networks().values()))
         if not (isinstance(network, Predictor) and isinstance(network.encoder, VggEncoder)):
-            raise SystemExit(f"--imagenet is for the paper's preset; {recipe.name} has another")
-        print(f"{load_imagenet(network.encoder, arguments.imagenet)} convolutions from ImageNet")
-    error = trainer.run()
-    print(f"best mean validation error: {error:.3f} px, kept in {folder}")
+            raise SystemExit(f"--imagenet is for the paper's preset; {name} has another")
+        print(f"{load_imagenet(network.encoder, imagenet)} convolutions from ImageNet")
+    return trainer.run()
 
 
 def _curve(arguments: argparse.Namespace) -> None:
@@ -251,18 +292,32 @@ def _quantise(arguments: argparse.Namespace) -> None:
 
 def _campaign(arguments: argparse.Namespace) -> None:
     folder = runs_folder() / "campaign"
-    while chosen := campaign.next_round(campaign.lines(), folder, MODELS, arguments.sequences):
-        print(f"{chosen.recipe.name}, round {chosen.number}: {chosen.recipe.sequences} sequences")
-        outcome = campaign.train(chosen, MODELS, Pace(simulators=arguments.workers))
-        print(f"{outcome.error_before_px} px before, {outcome.error_px} px now")
-        if outcome.gain > 0:
-            _show(
-                export_run(
-                    chosen.recipe, chosen.folder, MODELS, 1, arguments.scenes, arguments.workers
-                )
-            )
-        campaign.finish(chosen, outcome)
+    train = partial(campaign.train, models=MODELS, pace=Pace(simulators=arguments.workers))
+    while rounds := campaign.next_rounds(campaign.lines(), folder, MODELS, arguments.sequences):
+        if arguments.ray is None:
+            rounds = rounds[:1]
+        for chosen in rounds:
+            budget = chosen.recipe.sequences
+            print(f"{chosen.recipe.name}, round {chosen.number}: {budget} sequences")
+        if arguments.ray is None:
+            outcomes = [train(chosen) for chosen in rounds]
+        else:
+            from training.cluster import train_rounds  # Ray is an extra
+
+            outcomes = train_rounds(arguments.ray, folder, rounds, train)
+        for chosen, outcome in zip(rounds, outcomes, strict=True):
+            _finish(chosen, outcome, arguments)
     print("no family gains enough any more")
+
+
+def _finish(chosen: campaign.Round, outcome: campaign.Outcome, given: argparse.Namespace) -> None:
+    """Export what a round made better, and write down that it is done."""
+    before, now = outcome.error_before_px, outcome.error_px
+    print(f"{chosen.recipe.name}: {before} px before, {now} px now")
+    if outcome.gain > 0:
+        made = export_run(chosen.recipe, chosen.folder, MODELS, 1, given.scenes, given.workers)
+        _show(made)
+    campaign.finish(chosen, outcome)
 
 
 def _report(_: argparse.Namespace) -> None:

@@ -95,8 +95,11 @@ def lines() -> tuple[Line, ...]:
     )
 
 
-def next_round(known: Sequence[Line], folder: Path, models: Path, sequences: int) -> Round | None:
-    """Choose what to train next; None when no family gains enough any more.
+def next_rounds(known: Sequence[Line], folder: Path, models: Path, sequences: int) -> list[Round]:
+    """Choose what to train next; nothing when no family gains enough any more.
+
+    The most urgent round comes first. None begins with what another one makes, so that they can be
+    trained side by side.
 
     Parameters
     ----------
@@ -106,20 +109,30 @@ def next_round(known: Sequence[Line], folder: Path, models: Path, sequences: int
         Budget of a round.
     """
     begun = {line.recipe.name: _rounds(folder / line.recipe.name) for line in known}
+    interrupted = [
+        _round(line, len(rounds) - 1, rounds[-1], models, sequences)
+        for line in known
+        if (rounds := begun[line.recipe.name]) and not (rounds[-1] / OUTCOME).exists()
+    ]
+    if interrupted:
+        return interrupted
+    new: list[Line] = []
     for line in known:
-        rounds = begun[line.recipe.name]
-        if rounds and not (rounds[-1] / OUTCOME).exists():
-            return _round(line, len(rounds) - 1, rounds[-1], models, sequences)
-    for line in known:
-        if not begun[line.recipe.name]:
-            return _round(line, 0, folder / line.recipe.name / "0", models, sequences)
+        made = {member.name for earlier in new for member in earlier.recipe.members}
+        if not begun[line.recipe.name] and not made & set(line.parents):
+            new.append(line)
+    if new:
+        return [_round(line, 0, folder / line.recipe.name / "0", models, sequences) for line in new]
     gains = {name: read_outcome(rounds[-1]).gain for name, rounds in begun.items()}
-    best = max(known, key=lambda line: gains[line.recipe.name])
-    name = best.recipe.name
-    if gains[name] < LEAST_GAIN:
-        return None
-    number = len(begun[name])
-    return _round(best, number, folder / name / str(number), models, sequences)
+    gaining = [line for line in known if gains[line.recipe.name] >= LEAST_GAIN]
+    gaining.sort(key=lambda line: gains[line.recipe.name], reverse=True)
+    return [_following(line, folder, models, sequences) for line in gaining]
+
+
+def _following(line: Line, folder: Path, models: Path, sequences: int) -> Round:
+    name = line.recipe.name
+    number = len(_rounds(folder / name))
+    return _round(line, number, folder / name / str(number), models, sequences)
 
 
 def _rounds(folder: Path) -> list[Path]:

@@ -17,6 +17,7 @@ from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.simulation.recording import TEST_START
 from rollcast.simulation.rendering import Renderer
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+from training.crew import Share
 from training.models.eye import measures_of
 from training.models.predictor import Sight
 from training.simulate import STORED_FRAMES, Recording
@@ -181,6 +182,15 @@ class WindowMaker:
         return Scenery(centres, self._grounds[index], measures_of(half_width, scene.radius_m))
 
 
+class _Drawn(NamedTuple):
+    """Which window is a row of a batch."""
+
+    group: int
+    scene: int
+    start: int
+    symmetry: Symmetry
+
+
 class TrainingStream(IterableDataset[Batch]):
     """Endless batches. Batch k depends on the seed and on k alone, so training can resume anywhere.
 
@@ -200,6 +210,8 @@ class TrainingStream(IterableDataset[Batch]):
         Whether the windows have frames.
     scenery
         Whether they have scenery.
+    share
+        The rows of every batch that are made.
     """
 
     def __init__(
@@ -216,6 +228,7 @@ class TrainingStream(IterableDataset[Batch]):
         *,
         seen: bool = True,
         scenery: bool = False,
+        share: Share | None = None,
     ) -> None:
         if max(latest_starts) > LAST_START:
             raise ValueError(
@@ -233,6 +246,7 @@ class TrainingStream(IterableDataset[Batch]):
         self._batch_size = batch_size
         self._seed = seed
         self._first_batch = first_batch
+        self._share = share or Share()
 
     def __iter__(self) -> Iterator[Batch]:
         """Batches from ``first_batch`` on; several loader processes share them out in turn."""
@@ -245,18 +259,29 @@ class TrainingStream(IterableDataset[Batch]):
             number += stride
 
     def _batch(self, generator: np.random.Generator) -> Batch:
-        batch = collate([self._draw(generator, seen=self._seen) for _ in range(self._batch_size)])
+        batch = collate(self._windows(generator, self._batch_size, seen=self._seen))
         if self._practice:
-            unseen = [self._draw(generator, seen=False) for _ in range(self._practice)]
-            batch["practice"] = collate(unseen)
+            batch["practice"] = collate(self._windows(generator, self._practice, seen=False))
         return batch
 
-    def _draw(self, generator: np.random.Generator, *, seen: bool) -> Window:
+    def _windows(self, generator: np.random.Generator, rows: int, *, seen: bool) -> list[Window]:
+        # All are drawn, whoever makes them: the batch is the same for any number of shares.
+        drawn = [self._draw(generator) for _ in range(rows)]
+        return [self._window(drawn[row], seen=seen) for row in self._share.of(rows)]
+
+    def _draw(self, generator: np.random.Generator) -> _Drawn:
         group = int(generator.choice(len(self._makers), p=self._shares))
-        index = int(generator.integers(self._sizes[group]))
-        start = int(generator.integers(self._latest_starts[group] + 1))
-        symmetry = Symmetry(int(generator.integers(4)), bool(generator.integers(2)))
-        return symmetry.apply(self._makers[group].window(index, start, MAX_HORIZON, seen=seen))
+        return _Drawn(
+            group,
+            scene=int(generator.integers(self._sizes[group])),
+            start=int(generator.integers(self._latest_starts[group] + 1)),
+            symmetry=Symmetry(int(generator.integers(4)), bool(generator.integers(2))),
+        )
+
+    def _window(self, drawn: _Drawn, *, seen: bool) -> Window:
+        maker = self._makers[drawn.group]
+        window = maker.window(drawn.scene, drawn.start, MAX_HORIZON, seen=seen)
+        return drawn.symmetry.apply(window)
 
 
 def fixed_windows(

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from training.crew import Share
 from training.dataset import FRAME_SHAPE, Batch
 from training.models.predictor import EyedFamily, Sight, State
 from training.precision import mixed_precision
@@ -56,16 +57,20 @@ def save_whole(path: Path, content: dict[str, Any]) -> None:
     unfinished.replace(path)
 
 
-def rehearsed(path: Path, batch_size: int, seed: int, first_batch: int) -> Iterator[Batch]:
-    """Draw batches of readings for ever; batch k depends on the seed and on k alone."""
+def rehearsed(
+    path: Path, batch_size: int, seed: int, first_batch: int, share: Share
+) -> Iterator[Batch]:
+    """Draw a share of batches of readings for ever; batch k depends on the seed and on k alone."""
     readings = torch.load(path, weights_only=True)
     number = first_batch
+    own = share.of(batch_size)
     while True:
         generator = np.random.default_rng([seed, number])
-        rows = torch.from_numpy(generator.integers(len(readings["p"]), size=batch_size))
+        drawn_rows = torch.from_numpy(generator.integers(len(readings["p"]), size=batch_size))
+        rows = drawn_rows[own.start :: own.step]
         drawn = {name: part[rows] for name, part in readings.items()}
         yield Batch(
-            frames=torch.empty(batch_size, 0, *FRAME_SHAPE, dtype=torch.uint8),
+            frames=torch.empty(len(own), 0, *FRAME_SHAPE, dtype=torch.uint8),
             sight=Sight(State(drawn["s"].float(), drawn["p"]), drawn.get("finals")),
             positions=drawn["positions"],
             angular_velocities=drawn["angular_velocities"],

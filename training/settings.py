@@ -3,6 +3,9 @@
 import os
 from pathlib import Path
 
+RUNS_VARIABLE = "ROLLCAST_RUNS"
+"""Names the folder of data sets and checkpoints."""
+
 
 def keep_runtime_silent() -> None:
     """Stop ONNX Runtime from reporting its use (decision 0002); call it before its import."""
@@ -11,4 +14,4 @@ def keep_runtime_silent() -> None:
 
 def runs_folder() -> Path:
     """Folder of data sets and checkpoints: ROLLCAST_RUNS, or ``runs`` in the working directory."""
-    return Path(os.environ.get("ROLLCAST_RUNS", "runs"))
+    return Path(os.environ.get(RUNS_VARIABLE, "runs"))

@@ -6,13 +6,16 @@ Shards that exist are kept, so an interrupted run goes on where it stopped.
 
 import dataclasses
 import hashlib
+import io
 import json
 import multiprocessing
-from collections.abc import Sequence
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from fsspec.core import url_to_fs
 from tqdm import tqdm
 
 from rollcast.scene import Scenario, Scene
@@ -63,23 +66,92 @@ class Recording:
     trajectory: Trajectory
 
 
+@dataclass(frozen=True)
+class Shard:
+    """Scenes that are simulated together and stored in one file.
+
+    Attributes
+    ----------
+    address
+        Of the file, as fsspec reads it: a path, or ``s3://...`` and the like.
+    """
+
+    source: Source
+    address: str
+    seeds: tuple[int, ...]
+
+    def exists(self) -> bool:
+        """Whether it has been stored, whole."""
+        files, path = url_to_fs(self.address)
+        return files.exists(path)
+
+    def make(self) -> None:
+        """Simulate and store it: the same bytes wherever and whenever that is done."""
+        radius_m = self.source.radius_m
+        parameters = {} if radius_m is None else {"radius_m": radius_m}
+        scenario, objects = self.source.scenario, self.source.objects
+        simulator = Simulator()
+        made = [
+            simulator.sequence(scenario, objects, seed, STORED_FRAMES, 0, parameters)
+            for seed in self.seeds
+        ]
+        simulator.close()
+        data = io.BytesIO()
+        orientations = [sequence.trajectory.orientations_xyzw for sequence in made]
+        spins = [sequence.trajectory.angular_velocities_rad_s for sequence in made]
+        np.savez(
+            data,
+            scenes=np.array([sequence.scene.model_dump_json() for sequence in made]),
+            positions=np.stack([s.trajectory.positions_m for s in made]).astype(np.float32),
+            orientations=np.stack(orientations).astype(np.float32),
+            spins=np.stack(spins).astype(np.float32),
+        )
+        files, path = url_to_fs(self.address)
+        files.makedirs(files._parent(path), exist_ok=True)
+        # Under its own name only once it is whole: a worker may die at any time.
+        unfinished = f"{path}.{uuid.uuid4().hex}"
+        files.pipe_file(unfinished, data.getvalue())
+        files.mv(unfinished, path)
+
+
+Makers = Callable[[Sequence[Shard]], Iterable[object]]
+"""Makes shards, in any order, and yields something for each that is there."""
+
+
+def split_shards(source: Source, split: Split, scenes: int, folder: str) -> list[Shard]:
+    """Shards of the first ``scenes`` scenes of a split (whole ones), in a folder."""
+    wanted = seeds(split, scenes)
+    return [
+        Shard(source, f"{folder}/{wanted[k]}.npz", tuple(wanted[k : k + SHARD_SCENES]))
+        for k in range(0, scenes, SHARD_SCENES)
+    ]
+
+
+def make_missing(shards: Sequence[Shard], make: Makers, title: str) -> None:
+    """Make the shards that are not there yet."""
+    missing = [shard for shard in shards if not shard.exists()]
+    if missing:
+        for _ in tqdm(make(missing), total=len(missing), desc=title, unit="shard"):
+            pass
+
+
+def in_processes(workers: int) -> Makers:
+    """Make shards in so many processes of this machine."""
+
+    def make(shards: Sequence[Shard]) -> Iterator[object]:
+        context = multiprocessing.get_context("spawn")
+        with context.Pool(workers, maxtasksperchild=SHARDS_PER_WORKER) as pool:
+            yield from pool.imap_unordered(Shard.make, shards)
+
+    return make
+
+
 def simulate_split(source: Source, split: Split, scenes: int, workers: int) -> list[Path]:
     """Simulate the first ``scenes`` scenes of a split (whole shards); return the shards' files."""
     folder = data_folder(source, split)
-    folder.mkdir(parents=True, exist_ok=True)
-    wanted = seeds(split, scenes)
-    shards = [
-        (source, folder / f"{first}.npz", tuple(wanted[k : k + SHARD_SCENES]))
-        for k, first in list(enumerate(wanted))[::SHARD_SCENES]
-    ]
-    missing = [shard for shard in shards if not shard[1].exists()]
-    if missing:
-        context = multiprocessing.get_context("spawn")
-        with context.Pool(workers, maxtasksperchild=SHARDS_PER_WORKER) as pool:
-            done = pool.imap_unordered(_make_shard, missing)
-            for _ in tqdm(done, total=len(missing), desc=f"{source.name} {split}", unit="shard"):
-                pass
-    return [path for _, path, _ in shards]
+    shards = split_shards(source, split, scenes, str(folder))
+    make_missing(shards, in_processes(workers), f"{source.name} {split}")
+    return [Path(shard.address) for shard in shards]
 
 
 def data_folder(source: Source, split: Split) -> Path:
@@ -107,23 +179,3 @@ def load_recordings(shards: Sequence[Path]) -> list[Recording]:
                 for scene, *parts in zip(scenes, *fields, strict=True)
             ]
     return recordings
-
-
-def _make_shard(shard: tuple[Source, Path, tuple[int, ...]]) -> None:
-    source, path, shard_seeds = shard
-    parameters = {} if source.radius_m is None else {"radius_m": source.radius_m}
-    simulator = Simulator()
-    made = [
-        simulator.sequence(source.scenario, source.objects, seed, STORED_FRAMES, 0, parameters)
-        for seed in shard_seeds
-    ]
-    simulator.close()
-    unfinished = path.with_suffix(".tmp.npz")
-    np.savez(
-        unfinished,
-        scenes=np.array([sequence.scene.model_dump_json() for sequence in made]),
-        positions=np.stack([s.trajectory.positions_m for s in made]).astype(np.float32),
-        orientations=np.stack([s.trajectory.orientations_xyzw for s in made]).astype(np.float32),
-        spins=np.stack([s.trajectory.angular_velocities_rad_s for s in made]).astype(np.float32),
-    )
-    unfinished.rename(path)

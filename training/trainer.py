@@ -13,6 +13,7 @@ from torch.utils.data import DataLoader
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
+from training import crew
 from training.dataset import Batch, TrainingStream, Window, compared_horizon, fixed_windows
 from training.initial import Initial, load_fitting
 from training.metrics import forecast
@@ -128,13 +129,23 @@ class Trainer:
         return self.recipe.sequences // self.recipe.batch_size
 
     def run(self) -> float:
-        """Train until the budget is spent, from the last checkpoint on; return the best error."""
+        """Train until the budget is spent, from the last checkpoint on.
+
+        Returns
+        -------
+        float
+            The best validation error, in pixels; infinite for those who only help (``crew``).
+        """
         self.folder.mkdir(parents=True, exist_ok=True)
         self._resume()
         recipe = self.recipe
-        windows = validation_windows(recipe, self._pace.simulators)
-        stream = iter(self._stream())
+        stream = iter(crew.leader_first(self._stream))
         total = self._batches_in_all
+        if not crew.leads():
+            while self.batches < total and not self._schedule.finished:
+                self._step(next(stream), self.batches / total)
+            return math.inf
+        windows = validation_windows(recipe, self._pace.simulators)
         events = SummaryWriter(str(self.folder / EVENTS), purge_step=self.sequences)
         progress = tqdm(total=total, initial=self.batches, unit="batch", desc=recipe.name)
         while self.batches < total and not self._schedule.finished:
@@ -161,17 +172,27 @@ class Trainer:
         path = self.folder / READINGS
         if not path.exists():
             assert isinstance(self.family, EyedFamily)
-            read_windows(self.family, self._fresh(READ_TOGETHER, 0), recipe.rehearsal, path)
-        batches = rehearsed(path, recipe.batch_size, recipe.seed, self.batches)
+            whole = self._fresh(READ_TOGETHER, 0, share=crew.Share())
+            read_windows(self.family, whole, recipe.rehearsal, path)
+        batches = rehearsed(path, recipe.batch_size, recipe.seed, self.batches, crew.share())
         if not practice:
             return batches
         unseen = self._fresh(practice, self.batches, seen=False)
         return ({**batch, "practice": other} for batch, other in zip(batches, unseen, strict=True))
 
     def _fresh(
-        self, batch_size: int, first_batch: int, *, practice: int = 0, seen: bool = True
+        self,
+        batch_size: int,
+        first_batch: int,
+        *,
+        practice: int = 0,
+        seen: bool = True,
+        share: crew.Share | None = None,
     ) -> Iterator[Batch]:
-        """Return batches of windows, cut anew; see :class:`TrainingStream`."""
+        """Return batches of windows, cut anew, by default this process's share of them.
+
+        See :class:`TrainingStream`.
+        """
         recipe, simulators = self.recipe, self._pace.simulators
         shards = [
             simulate_split(part.source, "training", part.scenes, simulators) for part in recipe.data
@@ -188,6 +209,7 @@ class Trainer:
             practice=practice,
             seen=seen,
             scenery=recipe.explicit is not None,
+            share=share or crew.share(),
         )
         loader = DataLoader(
             stream,
@@ -211,11 +233,12 @@ class Trainer:
         loss = self._objective.loss(batch, spent)
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
+        crew.average_gradients(self.family.parameters())
         self._clip_gradients()
         self._optimiser.step()
         self.batches += 1
         self._average.update_parameters(self.family)
-        value = float(loss.detach())
+        value = crew.average_value(float(loss.detach()))
         self._schedule.observe(value, recipe.batch_size)
         return value
 

@@ -3,6 +3,7 @@
 Nothing here sends anything, so a client is a transport and one line a method.
 """
 
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -21,6 +22,7 @@ from rollcast.errors import (
     UnexpectedAnswerError,
 )
 from rollcast.http import (
+    REQUEST_ID_HEADER,
     Health,
     ModelDetail,
     ModelEntry,
@@ -52,7 +54,12 @@ class Call(Generic[T]):
     def request(self, client: httpx2.Client | httpx2.AsyncClient) -> httpx2.Request:
         """Return the request for a client's base address."""
         return client.build_request(
-            self.method, self.path, json=self.json, data=self.fields, files=self.files
+            self.method,
+            self.path,
+            json=self.json,
+            data=self.fields,
+            files=self.files,
+            headers={REQUEST_ID_HEADER: uuid.uuid4().hex},  # the same when it is sent again
         )
 
     def result(self, response: httpx2.Response) -> T:
@@ -70,16 +77,28 @@ class Call(Generic[T]):
                 return self.read(response.content)
             problem = Problem.model_validate_json(response.content)
         except ValidationError as error:
-            raise UnexpectedAnswerError(
-                f"{response.url} answered {response.status_code} with a body that is not this API's"
-            ) from error
-        raise _problem_error(problem, response)
+            failure = UnexpectedAnswerError(
+                f"{response.url} answered {response.status_code} with a body that is not this "
+                "API's",
+                response.status_code,
+            )
+            failure.retry_after_s = _retry_after_s(response)
+            raise failure from error
+        failure = _problem_error(problem)
+        failure.retry_after_s = _retry_after_s(response)
+        raise failure
 
 
-def _problem_error(problem: Problem, response: httpx2.Response) -> ProblemError:
+def _problem_error(problem: Problem) -> ProblemError:
     if problem.status == 429:
-        return BusyError(problem, float(response.headers.get("retry-after", "1")))
+        return BusyError(problem)
     return ServiceFailedError(problem) if problem.status >= 500 else RefusedError(problem)
+
+
+def _retry_after_s(response: httpx2.Response) -> float:
+    """Read the header Retry-After; a date, which this service never sends, counts as nothing."""
+    text = response.headers.get("retry-after", "")
+    return float(text) if text.isascii() and text.isdecimal() else 0.0
 
 
 def predict(

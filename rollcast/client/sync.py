@@ -5,11 +5,13 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 import httpx2
+from tenacity import Retrying, retry_if_exception, stop_after_attempt
 
 from rollcast.client import calls
 from rollcast.client.calls import Call
 from rollcast.client.images import Crop, Frame
 from rollcast.client.results import Forecast, Simulation
+from rollcast.client.retries import may_pass, wait_s
 from rollcast.errors import UnreachableError
 from rollcast.http import AUTO_MODEL, Health, ModelDetail, ModelEntry
 from rollcast.scene import Scenario, Scene
@@ -30,6 +32,10 @@ class Client:
         Address of the service.
     timeout_s
         Seconds to wait for an answer.
+    retries
+        How often a call is sent again, after a growing wait and not before the service asks for it
+        (Retry-After): when the connection was lost, when the service is full or not ready, and when
+        what stands before it could not pass it on. Calls change nothing, so asking twice is safe.
     transport
         Sends the requests; by default over the network.
     """
@@ -39,9 +45,16 @@ class Client:
         base_url: str = "http://127.0.0.1:8000",
         *,
         timeout_s: float = 60.0,
+        retries: int = 2,
         transport: httpx2.BaseTransport | None = None,
     ) -> None:
         self._http = httpx2.Client(base_url=base_url, timeout=timeout_s, transport=transport)
+        self._retrying = Retrying(
+            retry=retry_if_exception(may_pass),
+            wait=wait_s,
+            stop=stop_after_attempt(1 + retries),
+            reraise=True,
+        )
 
     def predict(
         self,
@@ -162,7 +175,9 @@ class Client:
         self.close()
 
     def _run(self, call: Call[T]) -> T:
-        request = call.request(self._http)
+        return self._retrying(self._ask, call, call.request(self._http))
+
+    def _ask(self, call: Call[T], request: httpx2.Request) -> T:
         try:
             response = self._http.send(request)
         except httpx2.TransportError as error:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import IO
 
 import httpx2
+import numpy as np
 import pytest
 
 from rollcast.client import Client
@@ -64,6 +65,28 @@ def held(address: str) -> int:
     return int(float(found.group(1)))
 
 
+def assert_same_forecasts(address: str, other: str, asked: dict[str, object]) -> None:
+    """Ask two services for a scene and its forecast, up to what the model was trained to."""
+    about = {name: value for name, value in asked.items() if name != "model"}
+    with Client(address) as one, Client(other) as another:
+        scene, same = (client.simulate(**about, seed=7, steps=8) for client in (one, another))
+        np.testing.assert_array_equal(scene.frames, same.frames)
+        trained = another.predict(scene.frames[:4], **asked).model.trained_horizon
+        forecasts = [
+            client.predict(scene.frames[:4], horizon=trained, **asked) for client in (one, another)
+        ]
+    assert forecasts[0].model == forecasts[1].model
+    np.testing.assert_allclose(forecasts[0].positions, forecasts[1].positions, rtol=0, atol=1e-2)
+
+
+ASKED = [
+    {"model": "auto", "scenario": "hemisphere", "objects": 1},
+    {"model": "posnet", "scenario": "heightfield", "objects": 1},
+    {"model": "auto", "scenario": "ellipsoid", "objects": 2},
+]
+"""Forecasts that are the same wherever the service runs."""
+
+
 @contextmanager
 def serving() -> Iterator[str]:
     """Run the service until it is no longer needed; yield its address once it is ready."""
@@ -75,7 +98,10 @@ def serving() -> Iterator[str]:
 
 
 @pytest.fixture(scope="session")
-def address() -> Iterator[str]:
+def address(request) -> Iterator[str]:
+    if (given := request.config.getoption("--address")) is not None:
+        yield given
+        return
     with serving() as address:
         yield address
 

@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import yaml
+
 from tests.e2e.conftest import ROOT
 
 TOOLS = Path(sys.executable).parent
@@ -37,8 +39,23 @@ def test_compose():
 
 
 def test_kubernetes():
-    said = judged(
-        "kubernetes-validate", "--strict", *sorted((DOCKER / "kubernetes").glob("*.yaml"))
-    )
+    said = judged("kubernetes-validate", "--strict", DOCKER / "kubernetes" / "rollcast.yaml")
     for kind in ("deployment", "service", "poddisruptionbudget", "horizontalpodautoscaler"):
         assert f"passed for resource {kind}/rollcast" in said
+
+
+def test_pods_of_kserve_and_ray(tmp_path):
+    """What stands inside other people's kinds is a pod, as Kubernetes knows it."""
+    runtime = next(yaml.safe_load_all((DOCKER / "kubernetes" / "kserve.yaml").read_text()))
+    cluster = yaml.safe_load((DOCKER / "kubernetes" / "ray.yaml").read_text())["spec"]
+    groups = cluster["rayClusterConfig"]
+    pods = {
+        "kserve": {key: runtime["spec"][key] for key in ("containers", "volumes")},
+        "head": groups["headGroupSpec"]["template"]["spec"],
+        "worker": groups["workerGroupSpecs"][0]["template"]["spec"],
+    }
+    for name, spec in pods.items():
+        path = tmp_path / f"{name}.yaml"
+        pod = {"apiVersion": "v1", "kind": "Pod", "metadata": {"name": name}, "spec": spec}
+        path.write_text(yaml.safe_dump(pod))
+        assert f"passed for resource pod/{name}" in judged("kubernetes-validate", "--strict", path)

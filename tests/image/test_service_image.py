@@ -2,11 +2,10 @@
 
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
 import pytest
 
 from rollcast.client import Client
-from tests.e2e.conftest import held
+from tests.e2e.conftest import ASKED, assert_same_forecasts, held
 from tests.image.conftest import BASE
 
 IMAGE = "rollcast-service:test"
@@ -51,25 +50,9 @@ def test_its_health_check_tells_a_service_from_none(service_images, container):
     assert service_images.podman("exec", name, *nowhere).returncode != 0
 
 
-@pytest.mark.parametrize(
-    ("model", "scenario", "objects"),
-    [("auto", "hemisphere", 1), ("posnet", "heightfield", 1), ("auto", "ellipsoid", 2)],
-)
-def test_it_answers_as_the_checkout_does(container, checkout, model, scenario, objects):
-    _, address = container
-    with Client(address) as image, Client(checkout) as own:
-        scene = image.simulate(scenario, objects=objects, seed=7, steps=8)
-        np.testing.assert_array_equal(
-            scene.frames, own.simulate(scenario, objects=objects, seed=7, steps=8).frames
-        )
-        asked = {"model": model, "objects": objects, "scenario": scenario}
-        trained = own.predict(scene.frames[:4], **asked).model.trained_horizon
-        forecasts = [
-            client.predict(scene.frames[:4], horizon=trained, **asked) for client in (image, own)
-        ]
-    there, here = forecasts
-    assert there.model == here.model
-    np.testing.assert_allclose(there.positions, here.positions, rtol=0, atol=1e-2)
+@pytest.mark.parametrize("asked", ASKED, ids=str)
+def test_it_answers_as_the_checkout_does(container, checkout, asked):
+    assert_same_forecasts(container[1], checkout, asked)
 
 
 def test_it_answers_what_it_has_accepted_when_it_is_told_to_stop(service_images, container):

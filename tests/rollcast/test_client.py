@@ -2,6 +2,7 @@
 
 import base64
 import json
+import time
 
 import httpx2
 import numpy as np
@@ -67,8 +68,26 @@ class Service(httpx2.BaseTransport):
         return httpx2.Response(self.status, content=content, headers=self.headers)
 
 
-def client(service):
-    return Client("http://rollcast.test", transport=service)
+class Faltering(Service):
+    """Fails some times before it answers."""
+
+    def __init__(self, answer, failures):
+        super().__init__(answer)
+        self.failures = list(failures)
+        self.ids = []
+
+    def handle_request(self, request):
+        self.ids.append(request.headers["x-request-id"])
+        if not self.failures:
+            return super().handle_request(request)
+        failure = self.failures.pop(0)
+        if isinstance(failure, Exception):
+            raise failure
+        return failure
+
+
+def client(service, retries=0):
+    return Client("http://rollcast.test", transport=service, retries=retries)
 
 
 def test_the_public_names():
@@ -166,6 +185,65 @@ def test_a_full_queue_says_when_to_come_back():
     with pytest.raises(BusyError) as caught:
         client(service).models()
     assert caught.value.retry_after_s == 3
+
+
+PASSING = {
+    "no connection": httpx2.ConnectError("refused"),
+    "connection lost": httpx2.RemoteProtocolError("the connection was lost"),
+    "full": httpx2.Response(429, json=PROBLEM | {"status": 429}, headers={"retry-after": "0"}),
+    "not ready": httpx2.Response(503, json=PROBLEM | {"status": 503}),
+    "proxy is full": httpx2.Response(429, text="full"),
+    "proxy lost the service": httpx2.Response(502, text="lost"),
+}
+LASTING = {
+    "took too long": httpx2.ReadTimeout("slow"),
+    "unknown": httpx2.Response(404, json=PROBLEM | {"status": 404}),
+    "failed": httpx2.Response(500, json=PROBLEM | {"status": 500}),
+    "gave up": httpx2.Response(504, json=PROBLEM | {"status": 504}),
+    "another program": httpx2.Response(200, text="hello"),
+}
+
+
+@pytest.mark.parametrize("failure", PASSING.values(), ids=PASSING)
+def test_what_may_pass_is_asked_again_under_the_same_id(failure):
+    service = Faltering({"models": []}, [failure])
+    assert client(service, retries=1).models() == []
+    assert len(service.ids) == 2
+    assert len(set(service.ids)) == 1
+    assert client(service).models() == []
+    assert len(set(service.ids)) == 2, "another call has another id"
+
+
+@pytest.mark.parametrize("failure", LASTING.values(), ids=LASTING)
+def test_what_would_fail_again_is_raised_at_once(failure):
+    service = Faltering({"models": []}, [failure])
+    with pytest.raises(ClientError):
+        client(service, retries=2).models()
+    assert len(service.ids) == 1
+
+
+def test_a_client_gives_up():
+    service = Faltering({"models": []}, PASSING.values())
+    with pytest.raises(BusyError):
+        client(service, retries=2).models()
+    assert service.request is None
+    assert len(service.ids) == 3
+
+
+def test_frames_are_sent_whole_again():
+    service = Faltering(FORECAST, [httpx2.ConnectError("refused")])
+    client(service, retries=1).predict([FRAME] * 4)
+    assert service.body.count(encoded(FRAME, None)) == 4
+
+
+@pytest.mark.parametrize("seconds", [0, 1])
+def test_nobody_comes_back_before_the_service_asks_for_it(seconds):
+    busy = httpx2.Response(
+        429, json=PROBLEM | {"status": 429}, headers={"retry-after": str(seconds)}
+    )
+    begun = time.monotonic()
+    client(Faltering({"models": []}, [busy]), retries=1).models()
+    assert time.monotonic() - begun >= seconds
 
 
 @pytest.mark.parametrize("answer", ["<html>", "{}", '{"models": 1}'])

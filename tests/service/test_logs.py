@@ -4,6 +4,9 @@ import io
 import json
 import logging
 
+import pytest
+from pydantic import ValidationError
+
 from service.logs import JsonLines
 from tests.service.samples import body
 
@@ -65,3 +68,22 @@ def test_every_answer_leaves_a_line_with_its_parts(client, caplog):
     wanted = {"method": "GET", "path": "/models/n%0Aone", "status": 404}
     assert wanted.items() <= line.items()
     assert "\n" not in record.getMessage()
+
+
+def test_a_replica_names_itself_in_header_and_line(start, caplog):
+    client = start(replica="node-1:b")
+    with caplog.at_level(logging.INFO, logger="service.access"):
+        for path in ("/health/live", "/nothing"):
+            assert client.get(path).headers["x-rollcast-replica"] == "node-1:b"
+    assert [record.replica for record in caplog.records] == ["node-1:b"] * 2
+
+
+def test_a_service_that_is_alone_has_no_replicas_name(client, caplog):
+    with caplog.at_level(logging.INFO, logger="service.access"):
+        assert "x-rollcast-replica" not in client.get("/health/live").headers
+    assert not hasattr(caplog.records[0], "replica")
+
+
+def test_a_replicas_name_that_could_forge_a_header_is_refused(start):
+    with pytest.raises(ValidationError, match="replica"):
+        start(replica="a\r\nb")

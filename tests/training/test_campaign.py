@@ -14,7 +14,7 @@ from training.campaign import (
     Round,
     finish,
     initial_of,
-    next_round,
+    next_rounds,
     own_models,
 )
 from training.recipes.compact import one_ball, several_balls
@@ -37,8 +37,12 @@ def done(folder, name: str, number: int, before: float | None, after: float) -> 
     (at / OUTCOME).write_text(json.dumps(asdict(Outcome(before, after))))
 
 
+def choices(known, folder) -> list[Round]:
+    return next_rounds(known, folder, MODELS, 640)
+
+
 def choose(known, folder) -> Round | None:
-    return next_round(known, folder, MODELS, 640)
+    return next(iter(choices(known, folder)), None)
 
 
 def test_an_interrupted_round_goes_on_first(known, tmp_path):
@@ -72,6 +76,19 @@ def test_the_family_that_gained_most_goes_on_until_none_gains(known, tmp_path):
     assert (following.recipe.name, following.number) == ("one-ball", 1)
     finish_in(tmp_path, following, Outcome(9.0, 9.1))
     assert choose(known, tmp_path) is None
+
+
+def test_side_by_side_are_rounds_that_do_not_need_each_other(known, tmp_path):
+    """The second line begins with what the first one makes."""
+    assert [one.recipe.name for one in choices(known, tmp_path)] == ["one-ball"]
+    independent = [known[0], replace(known[1], parents=())]
+    assert [one.recipe.name for one in choices(independent, tmp_path)] == ["one-ball", "2-balls"]
+    done(tmp_path, "one-ball", 0, 10.0, 9.0)
+    done(tmp_path, "2-balls", 0, 10.0, 8.0)
+    assert [one.recipe.name for one in choices(known, tmp_path)] == ["2-balls", "one-ball"]
+    for name in ("one-ball", "2-balls"):
+        (tmp_path / name / "1").mkdir()
+    assert [one.number for one in choices(known, tmp_path)] == [1, 1]
 
 
 def finish_in(folder, chosen: Round, outcome: Outcome) -> None:
