@@ -110,20 +110,25 @@ def _check_hashes(folder: Path, manifest: Manifest) -> None:
 
 
 def _check_golden(predictor: Predictor, path: Path) -> None:
-    """Compare what the graphs compute with what torch computed."""
+    """Compare what the graphs compute with what torch computed, for the first frames alone.
+
+    Hashes tell whether the files are those that were proved; this tells whether the runtime
+    computes on this machine what it did where they were.
+    """
     manifest = predictor.manifest
     with np.load(path) as golden:
         frames = golden[FRAMES_INPUT]
         if frames.dtype != np.uint8 or frames.shape[1:] != manifest.frames_shape:
             raise ArtefactError(f"{path.name}: frames are {frames.dtype} {frames.shape}")
         horizon = golden["positions"].shape[2]
-        outputs = roll_out(predictor, frames, horizon)
+        outputs = roll_out(predictor, frames[:1], horizon)
         for name, tolerance in manifest.golden_tolerance.items():
-            if outputs[name].shape != golden[name].shape:
+            expected = golden[name][:1]
+            if outputs[name].shape != expected.shape:
                 raise ArtefactError(
-                    f"{name} has the shape {outputs[name].shape}, golden {golden[name].shape}"
+                    f"{name} has the shape {outputs[name].shape}, golden {expected.shape}"
                 )
-            difference = float(np.abs(outputs[name] - golden[name]).max())
+            difference = float(np.abs(outputs[name] - expected).max())
             if not difference <= tolerance:
                 raise ArtefactError(
                     f"{name} differs by {difference:.3g} from the golden values, "

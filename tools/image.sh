@@ -3,8 +3,8 @@
 #
 #   tools/image.sh STORE NAME [ARGUMENT...]
 #
-# builds docker/NAME.Dockerfile as rollcast-NAME:test into STORE, a folder for images. ARGUMENTs go
-# to buildah. Needs root and what tools/base-image.sh needs. Prints the configuration file for
+# builds docker/NAME.Dockerfile as rollcast-NAME:test into STORE, a folder for images; the NAME ray is
+# the service's with Ray. ARGUMENTs go to buildah. Needs root and what tools/base-image.sh needs. Prints the configuration file for
 # CONTAINERS_STORAGE_CONF.
 set -eu
 
@@ -14,6 +14,11 @@ shift 2
 cd "$(dirname "$0")/.."
 CONTAINERS_STORAGE_CONF=$(tools/base-image.sh "$store")
 export CONTAINERS_STORAGE_CONF
+dockerfile=$name
+if [ "$name" = ray ]; then
+    dockerfile=service
+    set -- --build-arg LOCK=ray "$@"
+fi
 # What the machine trusts, pip trusts inside.
 certificates=/etc/ssl/certs/ca-certificates.crt
 # Where pip looks for torch, if that is a folder, it looks inside.
@@ -22,6 +27,6 @@ if [ -d "${PIP_FIND_LINKS:-}" ]; then
         --build-arg "TORCH_INSTALL_ARGS=--find-links $PIP_FIND_LINKS" "$@"
 fi
 BUILDAH_ISOLATION=chroot buildah build --layers --pull-never --format docker \
-    --volume "$certificates:$certificates:ro" --file "docker/$name.Dockerfile" \
+    --volume "$certificates:$certificates:ro" --file "docker/$dockerfile.Dockerfile" \
     --tag "rollcast-$name:test" "$@" . >&2
 echo "$CONTAINERS_STORAGE_CONF"

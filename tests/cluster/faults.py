@@ -51,6 +51,7 @@ def suffer(running: Nodes, load: Load, models: Path, calls: int) -> Faults:
         running.add()
 
     with load:
+        load.wait_for(calls // 4)  # caches are cold
         suffered("nothing", lambda: None)
         suffered("kill -9 of a replica", running.replace_replica)
         suffered("kill -9 of a node, another one added later", node_replaced)

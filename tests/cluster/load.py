@@ -12,6 +12,7 @@ import numpy as np
 
 from rollcast.client import Client, Simulation
 from rollcast.http import REPLICA_HEADER, REQUEST_ID_HEADER
+from tests.cluster.nodes import wait_until
 
 MODEL = "fieldnet"
 RETRIES = 8
@@ -109,8 +110,7 @@ class Load:
     def wait_for(self, answers: int) -> None:
         """Wait until so many more calls are answered."""
         wanted = len(self.answers) + answers
-        while len(self.answers) < wanted:
-            time.sleep(0.1)
+        wait_until(lambda: len(self.answers) >= wanted)
 
     @property
     def accepted(self) -> int:

@@ -52,7 +52,7 @@ def simulate(per_replica: float, replica_start_s: float, load: float) -> Fleet:
     Parameters
     ----------
     per_replica
-        Forecasts a second that a replica answers.
+        Forecasts a second that a replica, of one core, answers.
     replica_start_s
         Seconds until a started replica answers.
     load

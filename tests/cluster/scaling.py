@@ -1,6 +1,6 @@
 """Measures the service on Ray beside the service alone, and writes ``docs/scaling.md``.
 
-python -m tests.cluster.scaling [--seconds 20] [--calls 1200]
+python -m tests.cluster.scaling [--rounds 3] [--seconds 5] [--calls 1200]
 """
 
 import argparse
@@ -9,6 +9,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 
 import httpx2
 import psutil
@@ -27,67 +28,81 @@ NODES = (1, 2, 3)
 CONNECTIONS = 16
 CLIENTS = 8
 KINDS: tuple[Kind, ...] = ("binary", "json")
+CORE = "core"
 STAGES = ("decode", "encode", "rollout")
 
 
 @dataclass(frozen=True)
-class Alone:
-    """The service on this machine, full: of each forecast, milliseconds of one core."""
+class Cost:
+    """What a forecast takes of the service alone, full: milliseconds of one core."""
 
-    heard: Heard
-    single: Heard
     core_ms: float
     stages_ms: dict[str, float]
-    """The scheduler's own, of requests that were computed together."""
+    """What requests wait for each stage, often together."""
 
 
 @dataclass(frozen=True)
 class Spread:
-    """The service on some nodes."""
+    """The service on some nodes relative to the service alone, measured in turn."""
 
     nodes: int
-    heard: dict[Kind, Heard]
-    single: Heard
+    rates: dict[Kind, float]
+    """Answers a second with all connections."""
+    single: float
+    """Median time of one request at a time."""
+    failures: int
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=20, help="of every measurement")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=5, help="of every measurement")
     parser.add_argument("--calls", type=int, default=1200, help="in every phase of the faults")
     given = parser.parse_args()
+    spreads: list[Spread] = []
     with service() as (address, process):
         asked_there = questions(address, range(6))
-        alone = {kind: full(address, process, given.seconds, kind) for kind in KINDS}
-    spreads: list[Spread] = []
-    for number in NODES:
-        with nodes(number) as running:
-            spreads.append(spread(running, number, given.seconds))
-            if number == max(NODES):
-                start_s = replica_start_s(running)
-                load = Load(running.address, asked_there, CLIENTS)
-                with tempfile.TemporaryDirectory() as models:
-                    faults = suffer(running, load, Path(models), given.calls)
+        costs = cost(address, process, given.rounds, given.seconds)
+        for number in NODES:
+            with nodes(number) as running:
+                spreads.append(spread(running.address, address, number, given))
+                if number == max(NODES):
+                    start_s = replica_start_s(running)
+                    load = Load(running.address, asked_there, CLIENTS)
+                    with tempfile.TemporaryDirectory() as models:
+                        faults = suffer(running, load, Path(models), given.calls)
     lines = [
         *PREAMBLE,
         *fault_lines(faults),
-        *spread_lines(alone, spreads),
-        *plan_lines(alone, start_s),
+        *spread_lines(spreads, given.rounds),
+        *plan_lines(costs, spreads[-1], start_s),
     ]
     print("\n".join(lines))
     PAGE.write_text("\n".join(lines), encoding="utf-8")
 
 
-def full(address: str, process: psutil.Process, seconds: float, kind: Kind) -> Alone:
-    """Ask with all connections, and with one."""
-    single = asked(address, seconds / 2, kind)
-    before, stages = process.cpu_times(), stage_sums(address)
-    heard = asked(address, seconds, kind, "--connections", str(CONNECTIONS))
-    after, later = process.cpu_times(), stage_sums(address)
-    used = after.user + after.system - before.user - before.system
-    # The client first warms up the service, with answers that are counted here and not there.
-    counted = later["count"] - stages["count"]
-    sums = {stage: 1e3 * (later[stage] - stages[stage]) / counted for stage in STAGES}
-    return Alone(heard, single, 1e3 * used / counted, sums)
+def cost(address: str, process: psutil.Process, rounds: int, seconds: float) -> dict[Kind, Cost]:
+    """Measure what forecasts take, all kinds of body in every round."""
+    found: dict[Kind, list[dict[str, float]]] = {kind: [] for kind in KINDS}
+    for _ in range(rounds):
+        for kind, costs in found.items():
+            before, stages = process.cpu_times(), stage_sums(address)
+            full(address, seconds, kind)
+            after, later = process.cpu_times(), stage_sums(address)
+            used = after.user + after.system - before.user - before.system
+            spent = {stage: later[stage] - stages[stage] for stage in STAGES} | {CORE: used}
+            answers = later["count"] - stages["count"]
+            costs.append({name: 1e3 * value / answers for name, value in spent.items()})
+    middles = {
+        kind: {name: median([one[name] for one in costs]) for name in (CORE, *STAGES)}
+        for kind, costs in found.items()
+    }
+    return {kind: Cost(middle.pop(CORE), middle) for kind, middle in middles.items()}
+
+
+def full(address: str, seconds: float, kind: Kind) -> Heard:
+    """Ask with all connections."""
+    return asked(address, seconds, kind, "--connections", str(CONNECTIONS))
 
 
 def stage_sums(address: str) -> dict[str, float]:
@@ -102,13 +117,19 @@ def summed(text: str, what: str, stage: str) -> float:
     return sum(float(value) for value in re.findall(pattern, text, re.MULTILINE))
 
 
-def spread(running: Nodes, number: int, seconds: float) -> Spread:
-    """Ask the proxy of a cluster."""
-    with_all = {
-        kind: asked(running.address, seconds, kind, "--connections", str(CONNECTIONS))
-        for kind in KINDS
-    }
-    return Spread(number, with_all, asked(running.address, seconds / 2, "binary"))
+def spread(cluster: str, alone: str, number: int, given: argparse.Namespace) -> Spread:
+    """Ask the proxy of a cluster and the service alone in turn."""
+    rates: dict[Kind, list[float]] = {kind: [] for kind in KINDS}
+    single: list[float] = []
+    failures = 0
+    for _ in range(given.rounds):
+        for kind, found in rates.items():
+            there, here = (full(address, given.seconds, kind) for address in (cluster, alone))
+            found.append(there.rate / here.rate)
+            failures += there.failures + here.failures
+        there, here = (asked(address, given.seconds, "binary") for address in (cluster, alone))
+        single.append(there.quantile(0.5) / here.quantile(0.5))
+    return Spread(number, {k: median(v) for k, v in rates.items()}, median(single), failures)
 
 
 def replica_start_s(running: Nodes) -> float:
@@ -140,7 +161,7 @@ def fault_lines(faults: Faults) -> list[str]:
         f"{CLIENTS} clients (`rollcast.client`) ask without a pause, times include what is asked "
         "again. "
         f"{faults.accepted} requests were accepted, {len(faults.failures)} lost, "
-        f"{faults.retried} asked more than once, ",
+        f"{faults.retried} asked more than once,",
         f"{sum(len(names) > 1 for names in faults.answered_by.values())} answered twice; every "
         "answer is the checkout's within "
         f"{max(phase.largest_difference_px for phase in faults.phases):.1g} px.",
@@ -155,28 +176,28 @@ def fault_lines(faults: Faults) -> list[str]:
     return [*lines, ""]
 
 
-def spread_lines(alone: dict[Kind, Alone], spreads: list[Spread]) -> list[str]:
+def spread_lines(spreads: list[Spread], rounds: int) -> list[str]:
     """What distribution costs."""
     lines = [
         "## What distribution costs",
         "",
         f"Answers a second at {CONNECTIONS} connections, and the median of one request at a time, "
-        "relative to the service alone.",
+        "relative to the service alone,",
+        f"which was asked in turn; medians of {rounds} rounds.",
         "",
         "| nodes | binary tensors | JSON with PNG files | one at a time |",
         "|---|---|---|---|",
     ]
     for one in spreads:
-        rates = " | ".join(f"{one.heard[kind].rate / alone[kind].heard.rate:.2f}" for kind in KINDS)
-        single = one.single.quantile(0.5) / alone["binary"].single.quantile(0.5)
-        lines.append(f"| {one.nodes} | {rates} | {single:.2f} |")
-    failures = sum(heard.failures for one in spreads for heard in one.heard.values())
-    return [*lines, "", f"{failures} answers were not 200.", ""]
+        rates = " | ".join(f"{one.rates[kind]:.2f}" for kind in KINDS)
+        lines.append(f"| {one.nodes} | {rates} | {one.single:.2f} |")
+    return [*lines, "", f"{sum(one.failures for one in spreads)} answers were not 200.", ""]
 
 
-def plan_lines(alone: dict[Kind, Alone], start_s: float) -> list[str]:
+def plan_lines(costs: dict[Kind, Cost], spread: Spread, start_s: float) -> list[str]:
     """The plan for a million a second."""
     images = frames()
+    sizes = {kind: len(payload(kind, images).body) for kind in KINDS}
     lines = [
         f"## {plan.RATE:,} forecasts a second, on paper",
         "",
@@ -188,27 +209,38 @@ def plan_lines(alone: dict[Kind, Alone], start_s: float) -> list[str]:
         "network in, Gbit/s |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for kind, one in alone.items():
+    for kind, one in costs.items():
         stages = " | ".join(f"{one.stages_ms[stage]:.2f}" for stage in STAGES)
-        size = len(payload(kind, images).body)
+        size = sizes[kind]
         lines.append(
             f"| {kind} | {one.core_ms:.2f} | {stages} | {size:,} | "
             f"{plan.RATE * one.core_ms / 1e3:,.0f} | {plan.RATE * size * 8 / 1e9:,.0f} |"
         )
-    per_replica = 1e3 / alone["json"].core_ms
-    fleets = [plan.simulate(per_replica, start_s, load) for load in plan.LOADS]
+    encoded = costs["json"]
+    decode_ms = encoded.stages_ms["decode"]
+    kept = spread.rates["json"]
+    per_core = kept * 1e3 / encoded.core_ms
+    fleets = [plan.simulate(per_core, start_s, load) for load in plan.LOADS]
     plan.draw(fleets, PICTURE)
     lines += [
         "",
-        f"A replica of one core answers {per_replica:.0f} a second and is there {start_s:.0f} s "
-        "after it was asked for, as measured here; a machine for it",
+        "Where the next bottleneck stands: PNG files in JSON take "
+        f"{decode_ms:.1f} ms to decode ({decode_ms / encoded.core_ms:.0%} of a forecast's time), "
+        f"raw tensors {sizes['binary'] / sizes['json']:.0f} times the network;",
+        f"Ray's proxies and routers take {1 - kept:.0%} of the cores (above, {spread.nodes} "
+        "nodes). So first the proxies: replicas behind a plain load balancer",
+        "(`docker/kubernetes/rollcast.yaml`) do without them. What is left is the networks' own "
+        "arithmetic.",
+        "",
+        f"With Ray, then, a core answers {per_core:.0f} a second. A replica is there "
+        f"{start_s:.0f} s after it was asked for, as measured here; a machine for it",
         f"is assumed to take {plan.NODE_START_S} s, and a core to cost ${plan.CORE_HOUR_USD} an "
         f"hour. Half as many requests again come for {plan.BURST_S[1] - plan.BURST_S[0]} s; Ray "
         "Serve's autoscaling waits",
         f"{plan.UPSCALE_DELAY_S} s and sees the last {plan.LOOK_BACK_S}; what would wait for more "
         f"than {plan.WAITING_S:g} s is refused.",
         "",
-        "| replicas' time that is used | cores | $ an hour | refused of all | longest wait, s |",
+        "| cores' time that is used | cores | $ an hour | refused of all | longest wait, s |",
         "|---|---|---|---|---|",
     ]
     for fleet in fleets:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import IO, Any
 
 import pytest
 
@@ -17,6 +17,7 @@ from tests.e2e.conftest import ROOT, said_address, serving, wait_until_ready
 
 STORE = ROOT / ".images"
 TOOLS = ("debootstrap", "buildah", "podman", "runc", "fuse-overlayfs")
+SERVICE_IMAGE = "rollcast-service:test"
 BASE = "docker.io/library/python:3.11-slim-bookworm"
 # A network of the container's own would change that of the machine.
 RUN = ("--runtime", "runc", "run", "--pull=never", "--network", "host")
@@ -45,20 +46,26 @@ class Images:
         return json.loads(self.podman("image", "inspect", name).stdout)[0]
 
     @contextmanager
-    def serving(self, image: str) -> Iterator[tuple[str, str]]:
+    def serving(self) -> Iterator[tuple[str, str]]:
         """Start the service's container, hardened; yield its name and its address."""
+        with self.running(SERVICE_IMAGE, "--host", "127.0.0.1", "--port", "0") as (name, output):
+            address = said_address(output)
+            with Client(address) as client:
+                wait_until_ready(client)
+            yield name, address
+
+    @contextmanager
+    def running(self, *image_and_command: str) -> Iterator[tuple[str, IO[str]]]:
+        """Start a container, hardened; yield its name and what it says."""
         name = f"rollcast-test-{os.getpid()}-{time.monotonic_ns()}"
         started = ("--name", name, "--no-healthcheck")
         process = subprocess.Popen(
-            [*self._podman, *RUN, *started, *HARDENED, image, "--host", "127.0.0.1", "--port", "0"],
+            [*self._podman, *RUN, *started, *HARDENED, *image_and_command],
             stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
         )  # fmt: skip
         assert process.stdout is not None
         try:
-            address = said_address(process.stdout)
-            with Client(address) as client:
-                wait_until_ready(client)
-            yield name, address
+            yield name, process.stdout
         finally:
             self.podman("rm", "--force", "--time", "5", name)
             process.communicate(timeout=30)
@@ -93,10 +100,15 @@ def training_images() -> Images:
     return build("training")
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
+def ray_images() -> Images:
+    return build("ray")
+
+
+@pytest.fixture(scope="session")
 def container(service_images) -> Iterator[tuple[str, str]]:
     """The service's image, serving: the container's name and the service's address."""
-    with service_images.serving("rollcast-service:test") as serving:
+    with service_images.serving() as serving:
         yield serving
 
 

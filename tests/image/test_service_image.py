@@ -1,21 +1,21 @@
 """The service's image: what is in it, what it answers, how it stops."""
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from rollcast.client import Client
 from tests.e2e.conftest import ASKED, assert_same_forecasts, held
-from tests.image.conftest import BASE
+from tests.image.conftest import BASE, SERVICE_IMAGE
 
-IMAGE = "rollcast-service:test"
 MOST_MB = 600
 LOAD = 16
 LONG_HORIZON = 400
 
 
 def test_it_is_small_and_says_what_it_is(service_images):
-    image, base = service_images.inspect(IMAGE), service_images.inspect(BASE)
+    image, base = service_images.inspect(SERVICE_IMAGE), service_images.inspect(BASE)
     beyond = (image["Size"] - base["Size"]) / 1e6
     print(f"{beyond:.0f} MB beyond the base")
     assert beyond < MOST_MB
@@ -42,7 +42,7 @@ def test_it_runs_as_nobody_on_a_root_that_cannot_be_written(service_images, cont
 
 def test_its_health_check_tells_a_service_from_none(service_images, container):
     name, address = container
-    _, *check = service_images.inspect(IMAGE)["Healthcheck"]["Test"]
+    _, *check = service_images.inspect(SERVICE_IMAGE)["Healthcheck"]["Test"]
     port = address.rpartition(":")[2]
     there = [part.replace("8000", port) for part in check]
     nowhere = [part.replace("8000", "9") for part in check]
@@ -55,8 +55,15 @@ def test_it_answers_as_the_checkout_does(container, checkout, asked):
     assert_same_forecasts(container[1], checkout, asked)
 
 
-def test_it_answers_what_it_has_accepted_when_it_is_told_to_stop(service_images, container):
-    name, address = container
+@pytest.fixture
+def other_container(service_images) -> Iterator[tuple[str, str]]:
+    """One that may be stopped."""
+    with service_images.serving() as serving:
+        yield serving
+
+
+def test_it_answers_what_it_has_accepted_when_it_is_told_to_stop(service_images, other_container):
+    name, address = other_container
     with Client(address) as client:
         frames = client.simulate("hemisphere", seed=1, steps=4).frames
 

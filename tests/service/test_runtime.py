@@ -25,10 +25,10 @@ def opened(monkeypatch):
     names: list[str] = []
     open_session = runtime._session
 
-    def note(path, threads=1):
+    def note(path, threads=1, **options):
         if threads == 1:
             names.append(path.name)
-        return open_session(path, threads)
+        return open_session(path, threads, **options)
 
     monkeypatch.setattr(runtime, "_session", note)
     monkeypatch.setattr(runtime, "_eyes", WeakValueDictionary())
