@@ -1,10 +1,12 @@
 """``python -m training simulate | calibrate | train | evaluate | dissect | export | ...``."""
 
 import argparse
+import importlib
 import os
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from rollcast.scene import SCENARIOS
@@ -170,16 +172,30 @@ def _add_ray(command: argparse.ArgumentParser, what: str) -> None:
     )
 
 
+def _with_ray() -> ModuleType:
+    """Import what needs Ray, which is an extra."""
+    try:
+        return importlib.import_module("training.cluster")
+    except ModuleNotFoundError as error:
+        raise SystemExit(
+            f"--ray needs the extra ray-training ({error}); `tools/environment.sh cluster --torch` "
+            "makes .venv/cluster, which has it"
+        ) from error
+
+
+def _address(text: str) -> str:
+    """Make a path absolute, for processes that run elsewhere; other addresses stay as they are."""
+    return text if "://" in text else str(Path(text).resolve())
+
+
 def _simulate(arguments: argparse.Namespace) -> None:
     source = Source(arguments.scenario, arguments.objects, arguments.radius)
-    folder = arguments.output or str(data_folder(source, arguments.split))
+    folder = _address(arguments.output or str(data_folder(source, arguments.split)))
     shards = split_shards(source, arguments.split, arguments.scenes, folder)
     if arguments.ray is None:
         make = in_processes(arguments.workers)
     else:
-        from training.cluster import on_ray  # Ray is an extra
-
-        make = on_ray(arguments.ray)
+        make = _with_ray().on_ray(arguments.ray)
     make_missing(shards, make, f"{source.name} {arguments.split}")
     print(f"{len(shards)} shards in {folder}")
 
@@ -192,13 +208,12 @@ def _train(arguments: argparse.Namespace) -> None:
     folder = runs_folder() / arguments.recipe
     initial = [one for start in arguments.init for one in initial_networks(start)]
     pace = Pace(arguments.validate_every, simulators=arguments.workers)
-    run = partial(_run_training, arguments.recipe, folder, pace, initial, arguments.imagenet)
+    imagenet = arguments.imagenet and arguments.imagenet.resolve()
+    run = partial(_run_training, arguments.recipe, folder, pace, initial, imagenet)
     if arguments.ray is None:
         error = run()
     else:
-        from training.cluster import train_together  # Ray is an extra
-
-        error = train_together(arguments.ray, arguments.processes, folder, run)
+        error = _with_ray().train_together(arguments.ray, arguments.processes, folder, run)
     print(f"best mean validation error: {error:.3f} px, kept in {folder}")
 
 
@@ -292,7 +307,9 @@ def _quantise(arguments: argparse.Namespace) -> None:
 
 def _campaign(arguments: argparse.Namespace) -> None:
     folder = runs_folder() / "campaign"
-    train = partial(campaign.train, models=MODELS, pace=Pace(simulators=arguments.workers))
+    train = partial(
+        campaign.train, models=MODELS.resolve(), pace=Pace(simulators=arguments.workers)
+    )
     while rounds := campaign.next_rounds(campaign.lines(), folder, MODELS, arguments.sequences):
         if arguments.ray is None:
             rounds = rounds[:1]
@@ -302,9 +319,7 @@ def _campaign(arguments: argparse.Namespace) -> None:
         if arguments.ray is None:
             outcomes = [train(chosen) for chosen in rounds]
         else:
-            from training.cluster import train_rounds  # Ray is an extra
-
-            outcomes = train_rounds(arguments.ray, folder, rounds, train)
+            outcomes = _with_ray().train_rounds(arguments.ray, folder, rounds, train)
         for chosen, outcome in zip(rounds, outcomes, strict=True):
             _finish(chosen, outcome, arguments)
     print("no family gains enough any more")

@@ -29,7 +29,7 @@ def connected(address: str) -> AbstractContextManager[object]:
         Of a running cluster whose nodes have this code and reach ROLLCAST_RUNS ("auto" finds the
         one of this machine), or "local" for one that lasts as long as the work.
     """
-    variables = {RUNS_VARIABLE: str(runs_folder().resolve())}
+    variables = {RUNS_VARIABLE: str(runs_folder())}
     return ray.init(address=address, log_to_driver=False, runtime_env={"env_vars": variables})
 
 
@@ -75,7 +75,7 @@ def train_together(address: str, processes: int, folder: Path, run: Callable[[],
             scaling_config=ScalingConfig(num_workers=processes),
             run_config=RunConfig(
                 name="together",
-                storage_path=str(folder.resolve() / STORED),
+                storage_path=str(folder / STORED),
                 failure_config=FailureConfig(max_failures=ALWAYS),
             ),
         )
@@ -110,7 +110,7 @@ def train_rounds(
             param_space={"round": tune.grid_search(list(range(len(rounds))))},
             run_config=tune.RunConfig(
                 name="campaign",
-                storage_path=str(folder.resolve() / STORED),
+                storage_path=str(folder / STORED),
                 failure_config=tune.FailureConfig(max_failures=ALWAYS),
             ),
         )

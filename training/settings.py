@@ -14,4 +14,4 @@ def keep_runtime_silent() -> None:
 
 def runs_folder() -> Path:
     """Folder of data sets and checkpoints: ROLLCAST_RUNS, or ``runs`` in the working directory."""
-    return Path(os.environ.get(RUNS_VARIABLE, "runs"))
+    return Path(os.environ.get(RUNS_VARIABLE, "runs")).resolve()

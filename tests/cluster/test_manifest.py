@@ -30,3 +30,12 @@ def test_ray_serve_accepts_the_configuration():
 def test_the_cluster_has_the_rays_version_of_its_image():
     assert manifest()["rayClusterConfig"]["rayVersion"] == ray.__version__
     assert f"ray=={ray.__version__} " in LOCK.read_text()
+
+
+def test_ray_is_in_the_locks_that_name_it_alone():
+    with_ray = {
+        path.stem
+        for path in LOCK.parent.glob("*.txt")
+        if any(line.startswith("ray==") for line in path.read_text().splitlines())
+    }
+    assert with_ray == {"ray", "cluster", "peer-ray"}

@@ -4,6 +4,7 @@ import fsspec
 import numpy as np
 import pytest
 
+from training.__main__ import _with_ray
 from training.simulate import (
     SHARD_SCENES,
     Source,
@@ -66,3 +67,8 @@ def test_any_address_of_fsspecs_will_do(made):
         data = file.read()
     assert data == (made / "2000000.npz").read_bytes()
     assert np.load(made / "2000000.npz")["positions"].dtype == np.float32
+
+
+def test_ray_is_an_extra_that_is_asked_for():
+    with pytest.raises(SystemExit, match="--ray needs the extra ray-training"):
+        _with_ray()
