@@ -36,7 +36,9 @@ COPY --from=build /opt/rollcast /opt/rollcast
 COPY --from=build /app /app
 COPY LICENSE /app/
 COPY models /app/models
+# Nobody has no home; what is written, by Ray alone, goes where the root may be written.
 ENV PATH=/opt/rollcast/bin:$PATH \
+    HOME=/tmp \
     PYTHONDONTWRITEBYTECODE=1 \
     PYTHONUNBUFFERED=1
 WORKDIR /app

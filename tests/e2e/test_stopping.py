@@ -62,7 +62,7 @@ def test_what_was_accepted_is_answered_before_it_stops():
 
 def test_nothing_new_is_begun_while_it_drains():
     process, address = start_service(ROLLCAST_DRAIN_S="2")
-    with Client(address) as client:
+    with Client(address, retries=0) as client:
         wait_until_ready(client)
         frames = client.simulate("hemisphere", seed=1, steps=4).frames
         process.send_signal(signal.SIGTERM)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from tests.training.conftest import tiny
+from training.crew import Share
 from training.initial import Initial, load_fitting
 from training.models.compact import compact_family
 from training.models.task import Task
@@ -126,9 +127,11 @@ def test_windows_are_read_once_and_rehearsed(bending, tmp_path):
     assert changed == {name for name in before if ".bend." in name}
     readings = torch.load(tmp_path / READINGS, weights_only=True)
     assert len(readings["p"]) == len(readings["s"]) == len(readings["positions"]) == 64
-    batch = next(rehearsed(tmp_path / READINGS, 5, seed=1, first_batch=3))
+    batch = next(rehearsed(tmp_path / READINGS, 6, 1, 3, Share()))
     where = [int((readings["p"] == p).all(dim=(1, 2)).nonzero()) for p in batch["sight"].state.p]
     assert torch.equal(batch["positions"], readings["positions"][where])
+    shared = next(rehearsed(tmp_path / READINGS, 6, 1, 3, Share(1, 3)))
+    assert torch.equal(shared["positions"], batch["positions"][1::3])
 
 
 def test_the_average_follows_closely_at_first_and_slowly_later():
