@@ -1,16 +1,24 @@
-"""PyBullet leaks with shapes and clients; simulating must not. Several thousand: tests/soak."""
+"""PyBullet leaks with shapes and clients; simulating must not. Several thousand: tests/soak.
 
-from rollcast.scene import SCENARIOS
+Measured in processes of their own: what other tests freed can be taken again at any time.
+"""
+
+import multiprocessing
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+
+from rollcast.scene import SCENARIOS, Scene
 from rollcast.simulation.physics import World
 from tests.soak.simulate_many import resident_mib
 
 
-def test_memory_stays_flat_over_several_hundred_scenes(simulator):
-    scenes = [
-        simulator.sequence(scenario, objects, 3, 4).scene
-        for scenario in SCENARIOS
-        for objects in (1, 2)
-    ]
+def in_a_process(measure: Callable[..., float], *args: object) -> float:
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+        return process.submit(measure, *args).result()
+
+
+def growth_over_scenes(scenes: list[Scene], settling: int, count: int) -> float:
+    """By how many MiB memory grows while ``count`` scenes are loaded into one world in turn."""
     world = World()
 
     def simulate(count: int) -> float:
@@ -19,15 +27,12 @@ def test_memory_stays_flat_over_several_hundred_scenes(simulator):
             world.step_frame()
         return resident_mib()
 
-    try:
-        settled = simulate(100)
-        assert simulate(300) < settled + 4
-    finally:
-        world.close()
+    settled = simulate(settling)
+    return simulate(count) - settled
 
 
-def test_memory_is_given_back_with_the_client(simulator):
-    scene = simulator.sequence("hemisphere", 1, 3, 4).scene
+def growth_over_worlds(scene: Scene, settling: int, count: int) -> float:
+    """By how many MiB memory grows while ``count`` worlds are opened and closed."""
 
     def use_and_close(count: int) -> float:
         for _ in range(count):
@@ -37,5 +42,19 @@ def test_memory_is_given_back_with_the_client(simulator):
             world.close()
         return resident_mib()
 
-    settled = use_and_close(4)
-    assert use_and_close(12) < settled + 30
+    settled = use_and_close(settling)
+    return use_and_close(count) - settled
+
+
+def test_memory_stays_flat_over_several_hundred_scenes(simulator):
+    scenes = [
+        simulator.sequence(scenario, objects, 3, 4).scene
+        for scenario in SCENARIOS
+        for objects in (1, 2)
+    ]
+    assert in_a_process(growth_over_scenes, scenes, 100, 300) < 1
+
+
+def test_memory_is_given_back_with_the_client(simulator):
+    scene = simulator.sequence("hemisphere", 1, 3, 4).scene
+    assert in_a_process(growth_over_worlds, scene, 4, 12) < 4
