@@ -101,7 +101,7 @@ environments:
 	@tools/environment.sh protocol
 
 # The lock of the tests holds every package but Ray; the others take their versions from it.
-TEST_EXTRAS := simulation video service training test bench lint
+TEST_EXTRAS := simulation video dataframe service training test bench lint
 UV_COMPILE = .venv/lock/bin/uv pip compile pyproject.toml --quiet --universal --python-version 3.11 \
 	--generate-hashes --no-emit-package torch --annotation-style line --no-emit-index-url \
 	--custom-compile-command 'make lock' $(if $(UPGRADE),--upgrade)
@@ -122,7 +122,7 @@ lock:
 		--output-file requirements/cluster.txt
 	$(UV_COMPILE) --extra bench --constraint requirements/test.txt \
 		--output-file requirements/bench.txt
-	$(foreach name,protocol image $(PEERS),$(UV_COMPILE:pyproject.toml=) \
+	$(foreach name,protocol browser image $(PEERS),$(UV_COMPILE:pyproject.toml=) \
 		--group pyproject.toml:$(name) --output-file requirements/$(name).txt &&) true
 
 clean:
