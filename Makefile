@@ -91,6 +91,7 @@ lint:
 
 format:
 	@tools/environment.sh test --torch
+	$(BIN)/python -m tests.rollcast.write_sync_client
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 

@@ -5,6 +5,7 @@
   x SceneRejectedError      no acceptable scene comes out of a seed and its parameters
   x FootageError            a video or image file cannot be read as asked
     + CropError             a crop does not lie inside the picture
+  x MissingExtraError       a package is not installed that one of the extras brings
   x ClientError             a call through ``rollcast.client`` failed
     + UnreachableError      the service did not answer
     + UnexpectedAnswerError the answer is not one of this API's
@@ -58,6 +59,23 @@ class FootageError(RollcastError):
 
 class CropError(FootageError):
     """A crop does not lie inside the picture."""
+
+
+class MissingExtraError(RollcastError, ImportError):
+    """A package is not installed that one of the extras brings.
+
+    Parameters
+    ----------
+    purpose
+        What needs it.
+    package
+        Its name.
+    extra
+        Which brings it.
+    """
+
+    def __init__(self, purpose: str, package: str, extra: str) -> None:
+        super().__init__(f"{purpose} {package}: pip install 'rollcast[{extra}]'")
 
 
 class ClientError(RollcastError):

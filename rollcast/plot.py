@@ -15,6 +15,8 @@ from rollcast.trajectory import FRAME_RATE_HZ
 OVERVIEW_PX = 720
 PANEL_PX = OVERVIEW_PX // 2
 """Sides of the large picture and of the small ones beside it."""
+FILM_PX = 480
+"""Side of the pictures of a film."""
 STEPS_BETWEEN_MARKS = 10
 """Along the path, where no later frame says which moments matter."""
 SIGMAS = 2.0
@@ -33,8 +35,8 @@ FONT_PX = 20
 CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 73)) for f in (np.cos, np.sin)])
 
 
-class ForecastPath(Protocol):
-    """What of a forecast is drawn; ``rollcast.client.Forecast`` has it."""
+class TruePath(Protocol):
+    """What of a simulation is drawn; ``rollcast.client.Simulation`` has it."""
 
     @property
     def positions(self) -> Float[np.ndarray, "objects T 2"]:
@@ -42,13 +44,17 @@ class ForecastPath(Protocol):
         ...
 
     @property
-    def covariances(self) -> Float[np.ndarray, "objects T 2 2"]:
-        """Square pixels."""
+    def times_s(self) -> Float[np.ndarray, " T"]:
+        """Seconds after the first frame, or of a forecast after the last observed one."""
         ...
 
+
+class ForecastPath(TruePath, Protocol):
+    """What of a forecast is drawn; ``rollcast.client.Forecast`` has it."""
+
     @property
-    def times_s(self) -> Float[np.ndarray, " T"]:
-        """Seconds after the last observed frame."""
+    def covariances(self) -> Float[np.ndarray, "objects T 2 2"]:
+        """Square pixels."""
         ...
 
 
@@ -85,16 +91,81 @@ def draw_forecast(
     end_s = float(forecast.times_s[-1])
     if times_s[-1] > end_s + 0.5 / FRAME_RATE_HZ:
         raise ValueError(f"a frame of {times_s[-1]:.3f} s, the forecast ends at {end_s:.3f} s")
-    marks_s = times_s[1:] if len(times_s) > 1 else forecast.times_s[::STEPS_BETWEEN_MARKS][1:]
+    return _sheet(
+        frames, times_s, forecast, f"last frame seen, forecast to +{end_s:.2f} s", forecast
+    )
+
+
+def draw_truth(
+    frames: UInt8[np.ndarray, "frames S S 3"],
+    times_s: Float[np.ndarray, " frames"],
+    path: TruePath,
+) -> Image.Image:
+    """Draw a true path over its first frame and, where it has them, over later ones.
+
+    Parameters
+    ----------
+    frames
+        RGB; the first one, then any later ones.
+    times_s
+        Seconds after the first, of every frame: 0, then ascending.
+    path
+        In pixels of these frames.
+
+    Returns
+    -------
+    PIL.Image.Image
+        As large as ``draw_forecast`` makes it.
+    """
+    return _sheet(frames, times_s, path, f"true path to +{float(path.times_s[-1]):.2f} s", None)
+
+
+def draw_moment(
+    frame: UInt8[np.ndarray, "S S 3"], time_s: float, forecast: ForecastPath, title: str
+) -> Image.Image:
+    """Draw a forecast over one frame: the path until then, cross and ellipse at its time.
+
+    Parameters
+    ----------
+    frame
+        RGB.
+    time_s
+        Seconds after the last observed frame; frames before it are shown as they are.
+    forecast
+        In pixels of the frame.
+    title
+        What stands in the corner.
+
+    Returns
+    -------
+    PIL.Image.Image
+        RGB, 480 pixels a side.
+    """
+    panel = _Panel(frame, FILM_PX)
+    if time_s >= 0:
+        panel.path(forecast, time_s, np.array([time_s]), forecast)
+    panel.title(title)
+    return panel.image()
+
+
+def _sheet(
+    frames: UInt8[np.ndarray, "frames S S 3"],
+    times_s: Float[np.ndarray, " frames"],
+    path: TruePath,
+    title: str,
+    doubt: ForecastPath | None,
+) -> Image.Image:
+    """Put a large picture of the whole path and small ones of later frames on one sheet."""
+    marks_s = times_s[1:] if len(times_s) > 1 else path.times_s[::STEPS_BETWEEN_MARKS][1:]
     columns = len(frames) // 2
     sheet = Image.new("RGB", (OVERVIEW_PX + columns * PANEL_PX, OVERVIEW_PX))
     overview = _Panel(frames[0], OVERVIEW_PX)
-    overview.forecast(forecast, end_s, marks_s)
-    overview.title(f"last frame seen, forecast to +{end_s:.2f} s")
+    overview.path(path, float(path.times_s[-1]), marks_s, doubt)
+    overview.title(title)
     sheet.paste(overview.image(), (0, 0))
     for index, (frame, time_s) in enumerate(zip(frames[1:], times_s[1:], strict=True)):
         panel = _Panel(frame, PANEL_PX)
-        panel.forecast(forecast, float(time_s), np.array([time_s]))
+        panel.path(path, float(time_s), np.array([time_s]), doubt)
         panel.title(f"+{time_s:.2f} s")
         row, column = divmod(index, columns)
         sheet.paste(panel.image(), (OVERVIEW_PX + column * PANEL_PX, row * PANEL_PX))
@@ -112,20 +183,23 @@ class _Panel:
         )
         self._draw = ImageDraw.Draw(self._canvas)
 
-    def forecast(
-        self, forecast: ForecastPath, until_s: float, marks_s: Float[np.ndarray, " marks"]
+    def path(
+        self,
+        path: TruePath,
+        until_s: float,
+        marks_s: Float[np.ndarray, " marks"],
+        doubt: ForecastPath | None,
     ) -> None:
-        """Draw every object's path until a time, crosses and ellipses at some."""
-        for index, (path, covariances) in enumerate(
-            zip(forecast.positions, forecast.covariances, strict=True)
-        ):
+        """Draw every object's path until a time, crosses and, of a forecast, ellipses at some."""
+        for index, positions in enumerate(path.positions):
             color = PALETTE[index % len(PALETTE)]
-            until = path[forecast.times_s <= until_s]
-            self._line(np.vstack([until, _at(until_s, forecast.times_s, path)]), color, PATH_PX)
+            until = positions[path.times_s <= until_s]
+            self._line(np.vstack([until, _at(until_s, path.times_s, positions)]), color, PATH_PX)
             for mark_s in marks_s:
-                position = _at(mark_s, forecast.times_s, path)
-                covariance = _at(mark_s, forecast.times_s, covariances)
-                self._line(_ellipse(position, covariance), color, ELLIPSE_PX)
+                position = _at(mark_s, path.times_s, positions)
+                if doubt is not None:
+                    covariance = _at(mark_s, path.times_s, doubt.covariances[index])
+                    self._line(_ellipse(position, covariance), color, ELLIPSE_PX)
                 self._cross(position, color)
 
     def title(self, text: str) -> None:

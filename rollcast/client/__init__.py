@@ -7,11 +7,31 @@
 ...     forecast.positions.shape
 (1, 40, 2)
 
-Exceptions: ``rollcast.errors.ClientError`` and its heirs.
+``AsyncClient`` has the same methods, to be awaited. ``predict_stream`` gives every step as soon as
+it is computed, and the whole forecast afterwards; leaving its context ends it:
+
+>>> with Client() as client, client.predict_stream(frames, horizon=400) as stream:  # doctest: +SKIP
+...     for step in stream:
+...         step.time_s, step.positions
+
+Exceptions: ``rollcast.errors.ClientError`` and its heirs. A service for tests that need none:
+``rollcast.client.testing``.
 """
 
-from rollcast.client.images import Crop, Frame
-from rollcast.client.results import Forecast, Simulation
-from rollcast.client.sync import Client
+from rollcast.client.aio import AsyncClient, AsyncForecastStream
+from rollcast.client.images import Crop, Frame, Frames
+from rollcast.client.results import Forecast, ForecastStep, Simulation
+from rollcast.client.sync import Client, ForecastStream
 
-__all__ = ["Client", "Crop", "Forecast", "Frame", "Simulation"]
+__all__ = [
+    "AsyncClient",
+    "AsyncForecastStream",
+    "Client",
+    "Crop",
+    "Forecast",
+    "ForecastStep",
+    "ForecastStream",
+    "Frame",
+    "Frames",
+    "Simulation",
+]

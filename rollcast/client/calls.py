@@ -4,22 +4,25 @@ Nothing here sends anything, so a client is a transport and one line a method.
 """
 
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypedDict, TypeVar
 from urllib.parse import quote
 
 import httpx2
 from pydantic import ValidationError
 
-from rollcast.client.images import Crop, Frame, encoded
+from rollcast.client.images import Crop, Frame, Frames, encoded
 from rollcast.client.results import Forecast, Simulation
 from rollcast.errors import (
     BusyError,
+    ClientError,
     ProblemError,
     RefusedError,
     ServiceFailedError,
     UnexpectedAnswerError,
+    UnreachableError,
 )
 from rollcast.http import (
     REQUEST_ID_HEADER,
@@ -36,6 +39,28 @@ from rollcast.scene import Scenario, Scene
 T = TypeVar("T")
 
 Part = tuple[str, tuple[str, bytes]]
+
+
+class ForecastOptions(TypedDict, total=False):
+    """What may be said of a forecast besides its frames; what is left out is the service's choice.
+
+    These are the keyword arguments of ``Client.predict``, which describes them.
+    """
+
+    horizon: int | None
+    """Steps."""
+    model: str
+    """A NAME, NAME@VERSION or "auto"."""
+    final_step: int | None
+    """Step that the final frame shows."""
+    objects: int | None
+    """Number of balls."""
+    scenario: Scenario | None
+    """Narrows the choice of "auto"."""
+    frame_rate: float
+    """Frames a second."""
+    crop: Crop | None
+    """"square" cuts the largest square out of the middle of every frame."""
 
 
 @dataclass(frozen=True)
@@ -72,24 +97,50 @@ class Call(Generic[T]):
         UnexpectedAnswerError
             When it is not an answer of this API.
         """
+        if response.status_code not in self.answers:
+            raise failure(response)
         try:
-            if response.status_code in self.answers:
-                return self.read(response.content)
-            problem = Problem.model_validate_json(response.content)
+            return self.read(response.content)
         except ValidationError as error:
-            failure = UnexpectedAnswerError(
-                f"{response.url} answered {response.status_code} with a body that is not this "
-                "API's",
-                response.status_code,
-            )
-            failure.retry_after_s = _retry_after_s(response)
-            raise failure from error
-        failure = _problem_error(problem)
-        failure.retry_after_s = _retry_after_s(response)
-        raise failure
+            raise unexpected(response) from error
 
 
-def _problem_error(problem: Problem) -> ProblemError:
+def failure(response: httpx2.Response) -> ClientError:
+    """Return the exception for an answer that is none; its body has been read."""
+    try:
+        told = problem_error(Problem.model_validate_json(response.content))
+    except ValidationError as error:
+        told = unexpected(response)
+        told.__cause__ = error
+    told.retry_after_s = _retry_after_s(response)
+    return told
+
+
+def unexpected(response: httpx2.Response) -> UnexpectedAnswerError:
+    """Return the exception for a body that is not one of this API's."""
+    return UnexpectedAnswerError(
+        f"{response.url} answered {response.status_code} with a body that is not this API's",
+        response.status_code,
+    )
+
+
+@contextmanager
+def reaching(request: httpx2.Request) -> Generator[None]:
+    """Translate what goes wrong on the way to the service and back.
+
+    Raises
+    ------
+    UnreachableError
+        When no answer came, or not all of one.
+    """
+    try:
+        yield
+    except httpx2.TransportError as error:
+        raise UnreachableError(f"{request.url} does not answer: {error!r}") from error
+
+
+def problem_error(problem: Problem) -> ProblemError:
+    """Return the exception for a problem document."""
     if problem.status == 429:
         return BusyError(problem)
     return ServiceFailedError(problem) if problem.status >= 500 else RefusedError(problem)
@@ -101,25 +152,41 @@ def _retry_after_s(response: httpx2.Response) -> float:
     return float(text) if text.isascii() and text.isdecimal() else 0.0
 
 
-def predict(
-    frames: Sequence[Frame],
+def predict(frames: Frames, final_frame: Frame | None, options: ForecastOptions) -> Call[Forecast]:
+    """Send frames as file parts; what is not said is left to the service."""
+    return _forecast_call(
+        "/predict",
+        lambda body: Forecast.from_response(PredictResponse.model_validate_json(body)),
+        frames,
+        final_frame,
+        options,
+    )
+
+
+def predict_stream(
+    frames: Frames, final_frame: Frame | None, options: ForecastOptions
+) -> Call[None]:
+    """Ask as ``predict`` does; the answer is a stream of events (``rollcast.client.arrivals``)."""
+    return _forecast_call("/predict/stream", lambda _: None, frames, final_frame, options)
+
+
+def _forecast_call(
+    path: str,
+    read: Callable[[bytes], T],
+    frames: Frames,
     final_frame: Frame | None,
-    crop: Crop | None,
-    fields: Mapping[str, object],
-) -> Call[Forecast]:
-    """Send frames as file parts; fields that are None are left to the service."""
+    options: ForecastOptions,
+) -> Call[T]:
+    crop = options.get("crop")
     files: list[Part] = [
         ("frames", (f"frame{index}", encoded(frame, crop))) for index, frame in enumerate(frames)
     ]
     if final_frame is not None:
         files.append(("final_frame", ("final_frame", encoded(final_frame, crop))))
-    return Call(
-        "POST",
-        "/predict",
-        lambda body: Forecast.from_response(PredictResponse.model_validate_json(body)),
-        fields={name: str(value) for name, value in fields.items() if value is not None},
-        files=files,
-    )
+    fields = {
+        name: str(value) for name, value in options.items() if name != "crop" and value is not None
+    }
+    return Call("POST", path, read, fields=fields, files=files)
 
 
 def simulate(

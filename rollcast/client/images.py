@@ -1,6 +1,7 @@
 """Frames as a user has them become files that the service reads."""
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -9,6 +10,8 @@ from PIL import Image, ImageOps
 
 Frame = np.ndarray | Image.Image | Path | str
 """RGB uint8 [height, width, 3], a Pillow image, or the path of a PNG, JPEG or WebP file."""
+Frames = Sequence[Frame] | np.ndarray
+"""Several of them in order, or one array [frames, height, width, 3]."""
 Crop = Literal["square"]
 """``square`` cuts the largest square out of the middle of every frame."""
 
@@ -27,20 +30,29 @@ def encoded(frame: Frame, crop: Crop | None) -> bytes:
     """
     if isinstance(frame, str | Path) and crop is None:
         return Path(frame).read_bytes()
-    image = _image(frame)
-    if crop == "square":
-        side = min(image.size)
-        left, top = (image.width - side) // 2, (image.height - side) // 2
-        image = image.crop((left, top, left + side, top + side))
     buffer = io.BytesIO()
-    image.save(buffer, "PNG", compress_level=1)
+    _cropped(frame, crop).save(buffer, "PNG", compress_level=1)
     return buffer.getvalue()
+
+
+def pixels(frame: Frame, crop: Crop | None) -> np.ndarray:
+    """Return a frame's pixels, uint8 [height, width, 3]; raises as ``encoded`` does."""
+    return np.asarray(_cropped(frame, crop).convert("RGB"))
 
 
 def decoded(data: bytes) -> np.ndarray:
     """Return the pixels of an image file, uint8 [height, width, 3]."""
     with Image.open(io.BytesIO(data)) as image:
         return np.asarray(image.convert("RGB"))
+
+
+def _cropped(frame: Frame, crop: Crop | None) -> Image.Image:
+    image = _image(frame)
+    if crop is None:
+        return image
+    side = min(image.size)
+    left, top = (image.width - side) // 2, (image.height - side) // 2
+    return image.crop((left, top, left + side, top + side))
 
 
 def _image(frame: Frame) -> Image.Image:

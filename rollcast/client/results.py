@@ -5,15 +5,56 @@ top-left corner of the top-left pixel. Angular velocities are rad/s about the wo
 """
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from jaxtyping import Float64, UInt8
+from PIL import Image
 
-from rollcast.client.images import decoded
-from rollcast.http import ModelReference, PredictResponse, PredictTiming, SimulateResponse
+from rollcast.client import pictures, tables
+from rollcast.client.images import Crop, Frames, decoded
+from rollcast.http import (
+    ForecastObject,
+    ModelReference,
+    PredictResponse,
+    PredictTiming,
+    SimulateResponse,
+    StreamDone,
+    StreamStep,
+)
 from rollcast.scene import Color, Scene
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True)
+class ForecastStep:
+    """One step of a forecast, as soon as it is computed."""
+
+    step: int
+    """0 is the last observed frame."""
+    time_s: float
+    """Seconds after the last observed frame."""
+    positions: Float64[np.ndarray, "objects 2"]
+    """Pixels."""
+    covariances: Float64[np.ndarray, "objects 2 2"]
+    """Square pixels."""
+    angular_velocities: Float64[np.ndarray, "objects 3"] | None
+    """rad/s; None when the model has none."""
+
+    @classmethod
+    def from_event(cls, event: StreamStep) -> Self:
+        """Turn the event's lists into arrays."""
+        return cls(
+            step=event.step,
+            time_s=event.time_s,
+            positions=np.array([ball.position for ball in event.objects]),
+            covariances=np.array([ball.covariance for ball in event.objects]),
+            angular_velocities=_unless_unknown([ball.angular_velocity for ball in event.objects]),
+        )
 
 
 @dataclass(frozen=True)
@@ -45,16 +86,66 @@ class Forecast:
     timing_ms: PredictTiming
     """Where the service spent its time."""
 
+    def to_dataframe(self) -> "DataFrame":
+        """Return a row for every step of every ball, in the order of time (needs pandas).
+
+        Columns: ``step``, ``time_s``, ``object``, ``color``, ``x_px``, ``y_px``, the covariance's
+        ``xx_px2``, ``xy_px2`` and ``yy_px2``, and where the model has them the angular velocities
+        ``wx_rad_s``, ``wy_rad_s`` and ``wz_rad_s``.
+
+        Raises
+        ------
+        rollcast.errors.MissingExtraError
+            When pandas is not installed.
+        """
+        return tables.dataframe(tables.forecast_columns(self))
+
+    def plot(
+        self,
+        frames: Frames,
+        *,
+        times_s: Sequence[float] | None = None,
+        crop: Crop | None = None,
+        panels: int = 6,
+    ) -> Image.Image:
+        """Draw the forecast over the last observed frame and, where there are any, later ones.
+
+        Parameters
+        ----------
+        frames
+            The last observed frame, then any that follow it, as large as those that were sent. Of a
+            simulation: ``frames[3:]``.
+        times_s
+            Seconds after the last observed frame, of every frame; by default they follow each
+            other as the forecast's steps do. Frames after its end are left out.
+        crop
+            As for ``Client.predict``.
+        panels
+            Largest number of later frames that are shown.
+
+        Returns
+        -------
+        PIL.Image.Image
+            RGB; the whole path with crosses and two-sigma ellipses, and the later frames beside it.
+
+        Raises
+        ------
+        ValueError
+            When a frame's size is not ``frame_size`` or ``times_s`` does not fit.
+        """
+        return pictures.forecast(self, frames, times_s, crop, panels)
+
     @classmethod
-    def from_response(cls, response: PredictResponse) -> "Forecast":
+    def from_response(cls, response: PredictResponse) -> Self:
         """Turn the answer's lists into arrays."""
-        turning = [ball.angular_velocities for ball in response.objects]
         final = response.final_positions
         return cls(
             positions=np.array([ball.positions for ball in response.objects]),
             covariances=np.array([ball.covariances for ball in response.objects]),
             covariance_source=response.objects[0].covariance_source,
-            angular_velocities=None if None in turning else np.array(turning),
+            angular_velocities=_unless_unknown(
+                [ball.angular_velocities for ball in response.objects]
+            ),
             final_positions=None if final is None else np.array(final),
             times_s=np.array(response.times_s),
             colors=tuple(ball.color for ball in response.objects),
@@ -64,6 +155,24 @@ class Forecast:
             warnings=tuple(response.warnings),
             timing_ms=response.timing_ms,
         )
+
+    @classmethod
+    def from_events(cls, steps: Sequence[StreamStep], done: StreamDone) -> Self:
+        """Put a stream's events together."""
+        balls = [
+            ForecastObject(
+                **dict(ball),
+                positions=[step.objects[index].position for step in steps],
+                covariances=[step.objects[index].covariance for step in steps],
+                angular_velocities=None
+                if any(step.objects[index].angular_velocity is None for step in steps)
+                else [step.objects[index].angular_velocity or (0, 0, 0) for step in steps],
+            )
+            for index, ball in enumerate(done.objects)
+        ]
+        whole: dict[str, Any] = dict(done)
+        whole |= {"objects": balls, "times_s": [step.time_s for step in steps]}
+        return cls.from_response(PredictResponse(**whole))
 
 
 @dataclass(frozen=True)
@@ -91,8 +200,36 @@ class Simulation:
     frame_rate: float
     """Frames a second."""
 
+    def to_dataframe(self) -> "DataFrame":
+        """Return a row for every step of every ball, in the order of time (needs pandas).
+
+        Columns: ``step``, ``time_s``, ``object``, ``color``, ``x_px``, ``y_px`` and the angular
+        velocities ``wx_rad_s``, ``wy_rad_s`` and ``wz_rad_s``.
+
+        Raises
+        ------
+        rollcast.errors.MissingExtraError
+            When pandas is not installed.
+        """
+        return tables.dataframe(tables.simulation_columns(self))
+
+    def plot(self, *, panels: int = 6) -> Image.Image:
+        """Draw the true path over the first frame, and later frames beside it.
+
+        Parameters
+        ----------
+        panels
+            Largest number of later frames that are shown.
+
+        Raises
+        ------
+        ValueError
+            When the simulation has no frames.
+        """
+        return pictures.simulation(self, panels)
+
     @classmethod
-    def from_response(cls, response: SimulateResponse) -> "Simulation":
+    def from_response(cls, response: SimulateResponse) -> Self:
         """Turn the answer's lists and images into arrays."""
         files = response.frames
         return cls(
@@ -109,3 +246,7 @@ class Simulation:
             frame_size=response.frame_size,
             frame_rate=response.frame_rate,
         )
+
+
+def _unless_unknown(values: Sequence[object]) -> np.ndarray | None:
+    return None if None in values else np.array(values)

@@ -1,4 +1,4 @@
-"""The client against a transport of its own; tests/e2e has it against the real service."""
+"""Both clients against a transport of its own; tests/e2e has them against the real service."""
 
 import base64
 import json
@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import rollcast.client
-from rollcast.client import Client
 from rollcast.client.images import decoded, encoded
 from rollcast.errors import (
     BusyError,
@@ -20,6 +18,7 @@ from rollcast.errors import (
     UnexpectedAnswerError,
     UnreachableError,
 )
+from tests.rollcast.clients import PROBLEM, problem
 
 FRAME = np.random.default_rng(0).integers(0, 256, (48, 48, 3), np.uint8)
 FORECAST = {
@@ -51,17 +50,18 @@ FORECAST = {
 }
 
 
-class Service(httpx2.BaseTransport):
+class Service(httpx2.MockTransport):
     """Answers every request alike and keeps what was asked."""
 
     def __init__(self, answer, status=200, headers=None):
+        super().__init__(self.respond)
         self.answer, self.status, self.headers = answer, status, headers
         self.request = None
         self.body = b""
 
-    def handle_request(self, request):
+    def respond(self, request):
         self.request = request
-        self.body = request.read()
+        self.body = request.content
         if isinstance(self.answer, Exception):
             raise self.answer
         content = self.answer if isinstance(self.answer, str) else json.dumps(self.answer)
@@ -76,28 +76,18 @@ class Faltering(Service):
         self.failures = list(failures)
         self.ids = []
 
-    def handle_request(self, request):
+    def respond(self, request):
         self.ids.append(request.headers["x-request-id"])
         if not self.failures:
-            return super().handle_request(request)
+            return super().respond(request)
         failure = self.failures.pop(0)
         if isinstance(failure, Exception):
             raise failure
         return failure
 
 
-def client(service, retries=0):
-    return Client("http://rollcast.test", transport=service, retries=retries)
-
-
-def test_the_public_names():
-    assert sorted(rollcast.client.__all__) == ["Client", "Crop", "Forecast", "Frame", "Simulation"]
-
-
-def test_a_forecast_is_arrays():
-    service = Service(FORECAST)
-    with client(service) as rollcast_client:
-        forecast = rollcast_client.predict([FRAME] * 4, horizon=2, objects=2)
+def test_a_forecast_is_arrays(client):
+    forecast = client(Service(FORECAST)).predict([FRAME] * 4, horizon=2, objects=2)
     assert forecast.positions.shape == (2, 2, 2)
     assert forecast.covariances.shape == (2, 2, 2, 2)
     assert forecast.angular_velocities is not None
@@ -109,7 +99,7 @@ def test_a_forecast_is_arrays():
     assert forecast.timing_ms.total == 6
 
 
-def test_frames_are_sent_in_order_as_parts_and_only_what_was_said():
+def test_frames_are_sent_in_order_as_parts_and_only_what_was_said(client):
     service = Service(FORECAST)
     frames = [np.full((32, 32, 3), value, np.uint8) for value in range(5)]
     client(service).predict(frames[:4], final_frame=frames[4], horizon=2)
@@ -156,22 +146,11 @@ def test_what_is_no_frame_is_refused_here(frame, error, message):
         encoded(frame, None)
 
 
-PROBLEM = {
-    "type": "/problems/invalid-value",
-    "title": "A value is not acceptable",
-    "status": 422,
-    "detail": "horizon: expected more",
-    "field": "horizon",
-    "value": 0,
-    "expected": "more",
-}
-
-
 @pytest.mark.parametrize(
     ("status", "kind"),
     [(400, RefusedError), (404, RefusedError), (422, RefusedError), (503, ServiceFailedError)],
 )
-def test_a_problem_document_is_raised(status, kind):
+def test_a_problem_document_is_raised(client, status, kind):
     service = Service(PROBLEM | {"status": status}, status)
     with pytest.raises(kind) as caught:
         client(service).predict([FRAME] * 4)
@@ -180,7 +159,7 @@ def test_a_problem_document_is_raised(status, kind):
     assert isinstance(caught.value, ClientError)
 
 
-def test_a_full_queue_says_when_to_come_back():
+def test_a_full_queue_says_when_to_come_back(client):
     service = Service(PROBLEM | {"status": 429}, 429, {"retry-after": "3"})
     with pytest.raises(BusyError) as caught:
         client(service).models()
@@ -188,25 +167,25 @@ def test_a_full_queue_says_when_to_come_back():
 
 
 PASSING = {
-    "no connection": httpx2.ConnectError("refused"),
-    "connection lost": httpx2.RemoteProtocolError("the connection was lost"),
-    "full": httpx2.Response(429, json=PROBLEM | {"status": 429}, headers={"retry-after": "0"}),
-    "not ready": httpx2.Response(503, json=PROBLEM | {"status": 503}),
-    "proxy is full": httpx2.Response(429, text="full"),
-    "proxy lost the service": httpx2.Response(502, text="lost"),
+    "no connection": lambda: httpx2.ConnectError("refused"),
+    "connection lost": lambda: httpx2.RemoteProtocolError("the connection was lost"),
+    "full": lambda: problem(429, {"retry-after": "0"}),
+    "not ready": lambda: problem(503),
+    "proxy is full": lambda: httpx2.Response(429, text="full"),
+    "proxy lost the service": lambda: httpx2.Response(502, text="lost"),
 }
 LASTING = {
-    "took too long": httpx2.ReadTimeout("slow"),
-    "unknown": httpx2.Response(404, json=PROBLEM | {"status": 404}),
-    "failed": httpx2.Response(500, json=PROBLEM | {"status": 500}),
-    "gave up": httpx2.Response(504, json=PROBLEM | {"status": 504}),
-    "another program": httpx2.Response(200, text="hello"),
+    "took too long": lambda: httpx2.ReadTimeout("slow"),
+    "unknown": lambda: problem(404),
+    "failed": lambda: problem(500),
+    "gave up": lambda: problem(504),
+    "another program": lambda: httpx2.Response(200, text="hello"),
 }
 
 
 @pytest.mark.parametrize("failure", PASSING.values(), ids=PASSING)
-def test_what_may_pass_is_asked_again_under_the_same_id(failure):
-    service = Faltering({"models": []}, [failure])
+def test_what_may_pass_is_asked_again_under_the_same_id(client, failure):
+    service = Faltering({"models": []}, [failure()])
     assert client(service, retries=1).models() == []
     assert len(service.ids) == 2
     assert len(set(service.ids)) == 1
@@ -215,54 +194,52 @@ def test_what_may_pass_is_asked_again_under_the_same_id(failure):
 
 
 @pytest.mark.parametrize("failure", LASTING.values(), ids=LASTING)
-def test_what_would_fail_again_is_raised_at_once(failure):
-    service = Faltering({"models": []}, [failure])
+def test_what_would_fail_again_is_raised_at_once(client, failure):
+    service = Faltering({"models": []}, [failure()])
     with pytest.raises(ClientError):
         client(service, retries=2).models()
     assert len(service.ids) == 1
 
 
-def test_a_client_gives_up():
-    service = Faltering({"models": []}, PASSING.values())
+def test_a_client_gives_up(client):
+    service = Faltering({"models": []}, [failure() for failure in PASSING.values()])
     with pytest.raises(BusyError):
         client(service, retries=2).models()
     assert service.request is None
     assert len(service.ids) == 3
 
 
-def test_frames_are_sent_whole_again():
+def test_frames_are_sent_whole_again(client):
     service = Faltering(FORECAST, [httpx2.ConnectError("refused")])
     client(service, retries=1).predict([FRAME] * 4)
     assert service.body.count(encoded(FRAME, None)) == 4
 
 
 @pytest.mark.parametrize("seconds", [0, 1])
-def test_nobody_comes_back_before_the_service_asks_for_it(seconds):
-    busy = httpx2.Response(
-        429, json=PROBLEM | {"status": 429}, headers={"retry-after": str(seconds)}
-    )
+def test_nobody_comes_back_before_the_service_asks_for_it(client, seconds):
+    busy = problem(429, {"retry-after": str(seconds)})
     begun = time.monotonic()
     client(Faltering({"models": []}, [busy]), retries=1).models()
     assert time.monotonic() - begun >= seconds
 
 
 @pytest.mark.parametrize("answer", ["<html>", "{}", '{"models": 1}'])
-def test_another_program_at_the_address(answer):
+def test_another_program_at_the_address(client, answer):
     with pytest.raises(UnexpectedAnswerError, match=r"http://rollcast\.test/models answered 200"):
         client(Service(answer)).models()
 
 
 @pytest.mark.parametrize("fault", [httpx2.ConnectError("refused"), httpx2.ReadTimeout("slow")])
-def test_a_service_that_does_not_answer(fault):
+def test_a_service_that_does_not_answer(client, fault):
     with pytest.raises(UnreachableError, match=r"http://rollcast\.test/health/ready"):
         client(Service(fault)).health()
 
 
-def test_a_service_that_is_not_ready_is_no_error():
+def test_a_service_that_is_not_ready_is_no_error(client):
     assert client(Service({"status": "loading"}, 503)).health().status == "loading"
 
 
-def test_models_and_their_cards():
+def test_models_and_their_cards(client):
     model = {"name": "a/b", "version": 1, "status": "ready"}
     assert client(Service({"models": [model]})).models()[0].version == 1
     service = Service(model | {"versions": [1, 2], "licence": "MIT", "card": "# A"})
@@ -270,7 +247,7 @@ def test_models_and_their_cards():
     assert service.request.url.raw_path == b"/models/a%2Fb/versions/1"
 
 
-def test_a_simulation_is_arrays_and_its_scene_goes_back():
+def test_a_simulation_is_arrays_and_its_scene_goes_back(client):
     scene = {
         "scenario": "hemisphere",
         "seed": 7,

@@ -1,0 +1,287 @@
+"""The answers of ``rollcast.client.testing``: balls on lines, and refusals."""
+
+import base64
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw
+from pydantic import BaseModel, ValidationError
+
+from rollcast.http import (
+    DEFAULT_HORIZON,
+    ForecastObject,
+    ModelDetail,
+    ModelReference,
+    PredictRequest,
+    PredictResponse,
+    PredictTiming,
+    Problem,
+    SimulatedObject,
+    SimulateRequest,
+    SimulateResponse,
+    StreamBall,
+    StreamDone,
+    StreamObject,
+    StreamStep,
+)
+from rollcast.scene import COLORS, SCENARIOS, Scene
+from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ, OBSERVED_FRAMES
+
+NAME = "fake"
+"""Of the only model."""
+TRAINED_HORIZON = 20
+START = np.array([0.3, 0.3])
+BELOW = np.array([0.0, 0.2])
+VELOCITY = np.array([0.01, 0.004])
+"""Of the first ball at index 0, from each ball to the next and a step: shares of the frame."""
+RADIUS = 0.05
+TURNING_RAD_S = (0.0, 1.0, 0.0)
+
+
+class RefusalError(Exception):
+    """The request is answered with a problem document."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        self.problem = problem
+
+
+def parts(body: bytes, boundary: str) -> tuple[dict[str, str], list[bytes]]:
+    """Take a form apart: its fields, and its files in order."""
+    fields: dict[str, str] = {}
+    files: list[bytes] = []
+    for part in body.split(f"--{boundary}".encode())[1:-1]:
+        head, _, content = part.removeprefix(b"\r\n").partition(b"\r\n\r\n")
+        content = content.removesuffix(b"\r\n")
+        if b"filename=" in head:
+            files.append(content)
+        else:
+            fields[head.partition(b'name="')[2].partition(b'"')[0].decode()] = content.decode()
+    return fields, files
+
+
+def typed(fields: Mapping[str, Any], frames: Sequence[bytes]) -> dict[str, Any]:
+    """Return a request's body as the schema has it: a form tells its numbers as text."""
+    if not frames:
+        return dict(fields)
+    numbers = {"horizon": int, "objects": int, "final_step": int, "frame_rate": float}
+    values = {name: numbers.get(name, str)(value) for name, value in fields.items()}
+    images: dict[str, Any] = {"frames": list(frames[:OBSERVED_FRAMES])}
+    if len(frames) > OBSERVED_FRAMES:
+        images["final_frame"] = frames[OBSERVED_FRAMES]
+    return values | images
+
+
+def forecast(
+    wish: PredictRequest, positions: np.ndarray | None, variance_px2: float
+) -> PredictResponse:
+    """Answer with chosen positions [objects, steps, 2], or with balls on lines.
+
+    Raises
+    ------
+    RefusalError
+        When the frames cannot be read or the positions do not suffice.
+    """
+    side = _side(wish.frames)
+    if positions is None:
+        horizon = wish.horizon or DEFAULT_HORIZON
+        indices = FIRST_FORECAST_FRAME + np.arange(horizon)
+        positions = np.stack([_line(ball, indices, side) for ball in range(wish.objects or 1)])
+    horizon = wish.horizon or positions.shape[1]
+    if horizon > positions.shape[1]:
+        raise RefusalError(
+            _wrong("horizon", horizon, f"at most {positions.shape[1]}, as many as given")
+        )
+    if wish.objects not in (None, len(positions)):
+        raise RefusalError(_wrong("objects", wish.objects, f"{len(positions)}, as many as given"))
+    covariance = ((variance_px2, 0.0), (0.0, variance_px2))
+    return PredictResponse(
+        model=ModelReference(name=NAME, version=1, variant=NAME, trained_horizon=TRAINED_HORIZON),
+        frame_size=(side, side),
+        frame_rate=wish.frame_rate,
+        objects=[
+            ForecastObject(
+                id=ball,
+                color=COLORS[ball],
+                positions=path[:horizon].tolist(),
+                covariances=[covariance] * horizon,
+                covariance_source="predicted",
+                angular_velocities=[TURNING_RAD_S] * horizon,
+            )
+            for ball, path in enumerate(positions)
+        ],
+        times_s=[step / wish.frame_rate for step in range(horizon)],
+        final_positions=None
+        if wish.final_frame is None
+        else [(float(path[horizon - 1][0]), float(path[horizon - 1][1])) for path in positions],
+        warnings=[f"The horizon of {horizon} steps exceeds the {TRAINED_HORIZON} trained ones."]
+        if horizon > TRAINED_HORIZON
+        else [],
+        timing_ms=PredictTiming(decode=0, encode=0, rollout=0, total=0),
+    )
+
+
+def events(whole: PredictResponse) -> bytes:
+    """Write a forecast as the events of its stream."""
+    told: list[tuple[str, BaseModel]] = [
+        (
+            "step",
+            StreamStep(
+                step=step,
+                time_s=time_s,
+                objects=[
+                    StreamObject(
+                        id=ball.id,
+                        position=ball.positions[step],
+                        covariance=ball.covariances[step],
+                        angular_velocity=TURNING_RAD_S,
+                    )
+                    for ball in whole.objects
+                ],
+            ),
+        )
+        for step, time_s in enumerate(whole.times_s)
+    ]
+    balls = [
+        StreamBall(id=ball.id, color=ball.color, covariance_source=ball.covariance_source)
+        for ball in whole.objects
+    ]
+    rest: dict[str, Any] = dict(whole)
+    rest["objects"] = balls
+    told.append(("done", StreamDone(**rest)))
+    return "".join(
+        f"event: {name}\ndata: {body.model_dump_json()}\n\n" for name, body in told
+    ).encode()
+
+
+def simulation(wish: SimulateRequest) -> SimulateResponse:
+    """Answer with discs that roll along lines over a dark frame."""
+    side = wish.image_size
+    indices = np.arange(wish.steps)
+    paths = [_line(ball, indices, side) for ball in range(wish.balls)]
+    return SimulateResponse(
+        scenario=wish.scenario,
+        seed=wish.seed,
+        frame_rate=FRAME_RATE_HZ,
+        frame_size=(side, side),
+        start_step=wish.start_step or 0,
+        times_s=(indices / FRAME_RATE_HZ).tolist(),
+        frames=[_drawn([path[index] for path in paths], side) for index in indices]
+        if wish.include_frames
+        else None,
+        objects=[
+            SimulatedObject(
+                id=ball,
+                color=COLORS[ball],
+                radius_px=RADIUS * side,
+                positions=path.tolist(),
+                angular_velocities=[TURNING_RAD_S] * wish.steps,
+            )
+            for ball, path in enumerate(paths)
+        ],
+        scene=_scene(wish),
+    )
+
+
+def model() -> ModelDetail:
+    """Describe the only model."""
+    return ModelDetail(
+        name=NAME,
+        version=1,
+        default=True,
+        status="ready",
+        variant=NAME,
+        scenarios=list(SCENARIOS),
+        objects=1,
+        frames=OBSERVED_FRAMES,
+        trained_horizon=TRAINED_HORIZON,
+        covariance_source="predicted",
+        angular_velocity=True,
+        versions=[1],
+        licence=None,
+        card=None,
+    )
+
+
+def invalid(error: ValidationError) -> Problem:
+    """Return the document for a body that the schema refuses."""
+    fault = error.errors()[0]
+    return _wrong(".".join(map(str, fault["loc"])) or "body", None, fault["msg"])
+
+
+def nothing_here(request: str) -> Problem:
+    """Return the document for a call that there is not."""
+    return Problem(
+        type="/problems/not-found",
+        title="Not Found",
+        status=404,
+        detail=f"{request}: the fake service has the model {NAME!r} alone",
+    )
+
+
+def _wrong(field: str, value: int | str | None, expected: str) -> Problem:
+    return Problem(
+        type="/problems/invalid-value",
+        title="A value is not acceptable",
+        status=422,
+        detail=f"{field}: expected {expected}",
+        field=field,
+        value=value,
+        expected=expected,
+    )
+
+
+def _side(frames: Sequence[bytes]) -> int:
+    side = 0
+    for index, frame in enumerate(frames):
+        try:
+            with Image.open(io.BytesIO(frame)) as image:
+                width, height = image.size
+        except OSError as error:
+            raise RefusalError(
+                _wrong(f"frames[{index}]", None, "a PNG, JPEG or WebP file")
+            ) from error
+        if width != height:
+            raise RefusalError(_wrong(f"frames[{index}]", f"{width} x {height}", "a square frame"))
+        side = side or width
+        if width != side:
+            raise RefusalError(_wrong(f"frames[{index}]", f"{width} x {height}", "one size of all"))
+    return side
+
+
+def _line(ball: int, indices: np.ndarray, side: int) -> np.ndarray:
+    return side * (START + ball * BELOW + indices[:, None] * VELOCITY)
+
+
+def _drawn(centres: Sequence[np.ndarray], side: int) -> str:
+    image = Image.new("RGB", (side, side), (40, 40, 40))
+    draw = ImageDraw.Draw(image)
+    for (x, y), color in zip(centres, COLORS, strict=False):
+        reach = RADIUS * side
+        draw.ellipse((x - reach, y - reach, x + reach, y + reach), color)
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG", compress_level=1)
+    return base64.b64encode(buffer.getvalue()).decode()
+
+
+def _scene(wish: SimulateRequest) -> Scene:
+    shape: dict[str, Any] = {"axis_ratio": 0.75 if wish.scenario == "ellipsoid" else 1.0}
+    if wish.scenario == "heightfield":
+        shape = {
+            "noise_scale": 0.5,
+            "noise_offset_m": (0.0, 0.0),
+            "light_position_m": (1.0, 1.0, 2.0),
+        }
+    sampled: dict[str, Any] = {
+        "scenario": wish.scenario,
+        "seed": wish.seed,
+        "textured": wish.balls == 1 if wish.textured is None else wish.textured,
+        "radius_m": 0.1,
+        "rotation_rad": 0.0,
+        "positions_m": [(-0.4, 0.4 - 0.4 * ball, -0.5) for ball in range(wish.balls)],
+        "velocities_m_s": [(0.8, -0.3, 0.0)] * wish.balls,
+        "orientations_xyzw": [(0.0, 0.0, 0.0, 1.0)] * wish.balls,
+    }
+    return Scene.model_validate(sampled | shape | wish.scene.given())

@@ -1,0 +1,71 @@
+"""Results as columns: a row for every step of every ball, in the order of time."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rollcast.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from rollcast.client.results import Forecast, Simulation
+
+Columns = dict[str, np.ndarray]
+"""Names, which end in the unit, and values."""
+
+
+def forecast_columns(forecast: "Forecast") -> Columns:
+    """Return what ``Forecast.to_dataframe`` describes."""
+    columns = _path_columns(forecast)
+    covariances = _rows(forecast.covariances)
+    columns |= {
+        "xx_px2": covariances[:, 0, 0],
+        "xy_px2": covariances[:, 0, 1],
+        "yy_px2": covariances[:, 1, 1],
+    }
+    return columns | _turning_columns(forecast.angular_velocities)
+
+
+def simulation_columns(simulation: "Simulation") -> Columns:
+    """Return what ``Simulation.to_dataframe`` describes."""
+    return _path_columns(simulation) | _turning_columns(simulation.angular_velocities)
+
+
+def dataframe(columns: Columns) -> "DataFrame":
+    """Return columns as pandas has them.
+
+    Raises
+    ------
+    MissingExtraError
+        When pandas is not installed.
+    """
+    try:
+        import pandas as pd
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("data frames need", "pandas", "dataframe") from error
+    return pd.DataFrame(columns)
+
+
+def _path_columns(result: "Forecast | Simulation") -> Columns:
+    objects, steps = len(result.colors), len(result.times_s)
+    positions = _rows(result.positions)
+    return {
+        "step": np.arange(steps).repeat(objects),
+        "time_s": np.repeat(np.asarray(result.times_s), objects),
+        "object": np.tile(np.arange(objects), steps),
+        "color": np.array([*result.colors] * steps, object),
+        "x_px": positions[:, 0],
+        "y_px": positions[:, 1],
+    }
+
+
+def _turning_columns(angular_velocities: np.ndarray | None) -> Columns:
+    if angular_velocities is None:
+        return {}
+    return dict(zip(("wx_rad_s", "wy_rad_s", "wz_rad_s"), _rows(angular_velocities).T, strict=True))
+
+
+def _rows(values: np.ndarray) -> np.ndarray:
+    """Turn [objects, steps, ...] into one row for every object of every step."""
+    return values.swapaxes(0, 1).reshape(-1, *values.shape[2:])

@@ -1,0 +1,144 @@
+"""A service for tests that need none: it answers at once, in the process, without models.
+
+>>> from rollcast.client import Client
+>>> from rollcast.client.testing import FakeService
+>>> with Client(transport=FakeService()) as client:
+...     scene = client.simulate("hemisphere", seed=7)
+...     forecast = client.predict(scene.frames[:4], horizon=20)
+>>> forecast.positions.shape
+(1, 20, 2)
+
+Its answers are valid, its forecasts those that a test chooses. Clients take any other transport of
+``httpx2`` as well. The real app needs neither a port nor a process, if its lifespan is run:
+
+    app = create_app(Settings())
+    async with app.router.lifespan_context(app):
+        client = AsyncClient(transport=httpx2.ASGITransport(app=app))
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import httpx2
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ValidationError
+
+from rollcast.client import fakes
+from rollcast.client.fakes import RefusalError
+from rollcast.http import Health, ModelList, PredictRequest, Problem, SimulateRequest
+
+__all__ = ["Asked", "FakeService"]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A request that a fake service has got."""
+
+    method: str
+    path: str
+    fields: Mapping[str, Any]
+    """Of the JSON body, or the form's fields as text."""
+    frames: Sequence[bytes] = ()
+    """The image files, the final frame last."""
+
+
+class FakeService(httpx2.MockTransport):
+    """A transport for ``Client`` and for ``AsyncClient`` that answers as a service would.
+
+    Without more, balls roll along lines: those of its forecasts go on where its simulations show
+    them. What the real service would refuse for its shape (a horizon of 0, three frames) is refused
+    as well.
+
+    Parameters
+    ----------
+    positions
+        The forecast, [objects, steps, 2] in pixels of the frames, or [steps, 2] of one ball. A
+        longer horizon is refused.
+    variance_px2
+        Of every coordinate at every step, square pixels.
+    problem
+        Refuses every call but ``health`` with this document, see ``problem``.
+
+    Attributes
+    ----------
+    problem
+        The document, None to answer; may be changed at any time.
+    asked
+        All requests that came, in order.
+    """
+
+    def __init__(
+        self,
+        positions: ArrayLike | None = None,
+        *,
+        variance_px2: float = 1.0,
+        problem: Problem | None = None,
+    ) -> None:
+        super().__init__(self._answer)
+        self.problem = problem
+        self.asked: list[Asked] = []
+        self._variance_px2 = variance_px2
+        self._positions: np.ndarray | None = None
+        if positions is not None:
+            given = np.asarray(positions, float)
+            self._positions = given[None] if given.ndim == 2 else given
+
+    def _answer(self, request: httpx2.Request) -> httpx2.Response:
+        try:
+            asked = _read(request)
+            self.asked.append(asked)
+            if asked.path == "/health/ready":
+                return _json(Health(status="ready"))
+            if self.problem is not None:
+                raise RefusalError(self.problem)
+            return self._served(asked)
+        except ValidationError as error:
+            return _refused(fakes.invalid(error))
+        except RefusalError as refusal:
+            return _refused(refusal.problem)
+
+    def _served(self, asked: Asked) -> httpx2.Response:
+        match asked.method, asked.path.strip("/").split("/"):
+            case "POST", ["predict", *stream] if stream in ([], ["stream"]):
+                wish = PredictRequest.model_validate(fakes.typed(asked.fields, asked.frames))
+                forecast = fakes.forecast(wish, self._positions, self._variance_px2)
+                if not stream:
+                    return _json(forecast)
+                return httpx2.Response(
+                    200,
+                    headers={"content-type": "text/event-stream"},
+                    content=fakes.events(forecast),
+                )
+            case "POST", ["simulate"]:
+                return _json(fakes.simulation(SimulateRequest.model_validate(asked.fields)))
+            case "GET", ["models"]:
+                return _json(ModelList(models=[fakes.model()]))
+            case "GET", ["models", fakes.NAME] | ["models", fakes.NAME, "versions", "1"]:
+                return _json(fakes.model())
+            case _:
+                raise RefusalError(fakes.nothing_here(f"{asked.method} {asked.path}"))
+
+
+def _read(request: httpx2.Request) -> Asked:
+    kind, _, parameters = request.headers.get("content-type", "").partition(";")
+    method, path, body = request.method, request.url.path, request.content
+    if kind == "multipart/form-data":
+        return Asked(method, path, *fakes.parts(body, parameters.partition("boundary=")[2]))
+    return Asked(method, path, json.loads(body) if body else {})
+
+
+def _json(body: BaseModel) -> httpx2.Response:
+    return httpx2.Response(
+        200, headers={"content-type": "application/json"}, content=body.model_dump_json()
+    )
+
+
+def _refused(problem: Problem) -> httpx2.Response:
+    return httpx2.Response(
+        problem.status,
+        headers={"content-type": "application/problem+json"},
+        content=problem.model_dump_json(),
+    )

@@ -1,0 +1,106 @@
+"""The fake service that users' own tests have."""
+
+import doctest
+
+import numpy as np
+import pytest
+
+import rollcast.client.testing
+from rollcast.client import Client
+from rollcast.client.testing import FakeService
+from rollcast.errors import BusyError, RefusedError
+from rollcast.http import Problem
+from rollcast.scene import SCENARIOS
+from tests.rollcast.clients import PROBLEM
+
+FRAMES = np.zeros((4, 64, 64, 3), np.uint8)
+
+
+def test_the_example_in_its_documentation():
+    assert doctest.testmod(rollcast.client.testing).failed == 0
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.parametrize("objects", [1, 2, 3])
+def test_its_forecasts_go_on_where_its_scenes_show_the_balls(client, scenario, objects):
+    connected = client(FakeService())
+    scene = connected.simulate(scenario, seed=3, objects=objects, image_size=200, steps=30)
+    forecast = connected.predict(scene.frames[:4], horizon=27, objects=objects)
+    np.testing.assert_allclose(forecast.positions, scene.positions[:, 3:])
+    for ball, channel in enumerate(range(objects)):
+        column, row = scene.positions[ball, 20].astype(int)
+        assert scene.frames[20, row, column, channel] > 100
+    again = connected.simulate(scene=scene.scene, objects=objects, steps=4)
+    assert again.scene == scene.scene
+    assert connected.simulate(scenario, seed=3, include_frames=False).frames is None
+
+
+@pytest.mark.parametrize("path", [[[1, 2], [3, 4], [5, 6]], [[[1, 2], [3, 4], [5, 6]]]], ids=len)
+def test_forecasts_may_be_chosen(client, path):
+    connected = client(FakeService(path, variance_px2=9))
+    forecast = connected.predict(FRAMES)
+    assert forecast.positions.tolist() == [[[1, 2], [3, 4], [5, 6]]]
+    assert forecast.covariances[0, 2].tolist() == [[9, 0], [0, 9]]
+    assert connected.predict(FRAMES, horizon=2).positions.shape == (1, 2, 2)
+    with pytest.raises(RefusedError, match="at most 3"):
+        connected.predict(FRAMES, horizon=4)
+    with pytest.raises(RefusedError, match="objects: expected 1"):
+        connected.predict(FRAMES, objects=2)
+
+
+def test_problems_may_be_chosen_and_pass(client):
+    full = Problem.model_validate(PROBLEM | {"status": 429})
+    service = FakeService(problem=full)
+    connected = client(service)
+    for ask in (connected.models, lambda: connected.predict(FRAMES)):
+        with pytest.raises(BusyError) as caught:
+            ask()
+        assert caught.value.problem == full
+    with pytest.raises(BusyError):
+        list(connected.predict_stream(FRAMES))
+    service.problem = None
+    assert connected.predict(FRAMES).positions.shape == (1, 40, 2)
+
+
+def test_it_keeps_what_it_was_asked(client):
+    service = FakeService()
+    connected = client(service)
+    connected.predict(FRAMES, horizon=5, model="dot", final_frame=FRAMES[0])
+    connected.simulate("hemisphere", seed=9)
+    first, second = service.asked
+    assert (first.method, first.path, first.fields["horizon"]) == ("POST", "/predict", "5")
+    assert len(first.frames) == 5
+    assert first.frames[0].startswith(b"\x89PNG")
+    assert (second.path, second.fields["seed"]) == ("/simulate", 9)
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda client: client.predict(FRAMES, horizon=0), "horizon"),
+        (lambda client: client.predict(FRAMES[:3]), "frames"),
+        (lambda client: client.predict(FRAMES[:, 10:]), "square"),
+        (lambda client: client.simulate("box", seed=1), "scenario"),
+        (lambda client: client.simulate("hemisphere"), "seed"),
+        (lambda client: client.model("nobody"), "404"),
+    ],
+    ids=["horizon", "three frames", "not square", "scenario", "no seed", "no model"],
+)
+def test_what_the_service_would_refuse_it_refuses(client, ask, message):
+    with pytest.raises(RefusedError, match=message):
+        ask(client(FakeService()))
+
+
+def test_its_model_can_be_looked_at(client):
+    connected = client(FakeService())
+    [entry] = connected.models()
+    assert entry == connected.model(entry.name).model_copy(update={}) or entry.name == "fake"
+    assert connected.model("fake", 1).versions == [1]
+    assert connected.health().status == "ready"
+
+
+def test_one_service_serves_several_clients():
+    service = FakeService()
+    for _ in range(2):
+        with Client(transport=service) as connected:
+            assert connected.models()

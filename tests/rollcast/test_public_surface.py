@@ -1,0 +1,355 @@
+"""The names that users rely on, and how they are called: a change here is a change for them."""
+
+import inspect
+import re
+
+from inline_snapshot import snapshot
+from numpy.typing import ArrayLike
+
+import rollcast.client
+import rollcast.client.testing
+import rollcast.errors
+from rollcast.client import Frame, Frames
+from rollcast.client.calls import ForecastOptions
+from tests.rollcast.write_sync_client import TARGET, sync_client
+
+
+def surface(module, names):
+    """Every public class with its methods and fields, as they are called."""
+    lines = []
+    for name in names:
+        thing = getattr(module, name)
+        if not inspect.isclass(thing):
+            lines.append(f"{name} = {without_modules(thing)}")
+            continue
+        lines.append(f"class {name}{signature(thing)}")
+        for member, value in inspect.getmembers(thing):
+            if member.startswith("_") or hasattr(object, member):
+                continue
+            if not getattr(value, "__module__", "rollcast").startswith("rollcast"):
+                continue  # inherited
+            if isinstance(value, property):
+                returned = inspect.formatannotation(value.fget.__annotations__["return"])
+                lines.append(f"    {member}: {returned}")
+            elif callable(value):
+                awaited = "async " if inspect.iscoroutinefunction(value) else ""
+                lines.append(f"    {awaited}def {member}{signature(value)}")
+    return "\n".join(lines)
+
+
+def signature(thing):
+    """Write every parameter in a line of its own."""
+    signed = inspect.signature(thing)
+    lines = []
+    for parameter in signed.parameters.values():
+        if parameter.kind is parameter.KEYWORD_ONLY and "*" not in lines:
+            lines.append("*")
+        lines.append(short(parameter))
+    returned = short(inspect.formatannotation(signed.return_annotation))
+    return "".join(["(", *[f"\n        {line}," for line in lines], f"\n    ) -> {returned}"])
+
+
+def short(annotation):
+    written = without_modules(annotation)
+    for alias, name in ALIASES.items():
+        written = written.replace(alias, name)
+    return written
+
+
+def without_modules(annotation):
+    return re.sub(r"\b(typing|collections\.abc)\.", "", str(annotation))
+
+
+ALIASES = {
+    without_modules(Frames): "Frames",
+    without_modules(Frame): "Frame",
+    without_modules(ArrayLike).removesuffix("]"): "Union[ArrayLike",
+    "*<class 'rollcast.client.calls.ForecastOptions'>": "Unpack[ForecastOptions]",
+}
+"""What is too long to read, or differs from one NumPy to the next."""
+
+
+def test_the_client():
+    assert surface(rollcast.client, sorted(rollcast.client.__all__)) == snapshot("""\
+class AsyncClient(
+        base_url: str = 'http://127.0.0.1:8000',
+        *,
+        timeout_s: float = 60.0,
+        retries: int = 2,
+        transport: httpx2.AsyncBaseTransport | None = None,
+    ) -> None
+    async def close(
+        self,
+    ) -> None
+    async def health(
+        self,
+    ) -> rollcast.http.Health
+    async def model(
+        self,
+        name: str,
+        version: int | None = None,
+    ) -> rollcast.http.ModelDetail
+    async def models(
+        self,
+    ) -> list[rollcast.http.ModelEntry]
+    async def predict(
+        self,
+        frames: Frames,
+        *,
+        horizon: int | None = None,
+        model: str = 'auto',
+        final_frame: Frame | None = None,
+        final_step: int | None = None,
+        objects: int | None = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield']] = None,
+        frame_rate: float = 40,
+        crop: Optional[Literal['square']] = None,
+    ) -> rollcast.client.results.Forecast
+    async def predict_many(
+        self,
+        sequences: Iterable[Frames],
+        *,
+        final_frames: Iterable[Frame] | None = None,
+        concurrency: int = 4,
+        **options: Unpack[ForecastOptions],
+    ) -> list[rollcast.client.results.Forecast]
+    def predict_stream(
+        self,
+        frames: Frames,
+        *,
+        final_frame: Frame | None = None,
+        **options: Unpack[ForecastOptions],
+    ) -> 'AsyncForecastStream'
+    async def simulate(
+        self,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield']] = None,
+        *,
+        seed: int | None = None,
+        objects: int | None = None,
+        steps: int = 44,
+        start_step: int | None = None,
+        image_size: int = 128,
+        textured: bool | None = None,
+        include_frames: bool = True,
+        scene: rollcast.scene.Scene | Mapping[str, Any] | None = None,
+    ) -> rollcast.client.results.Simulation
+class AsyncForecastStream(
+        client: rollcast.client.aio.AsyncClient,
+        frames: Frames,
+        final_frame: Frame | None,
+        options: rollcast.client.calls.ForecastOptions,
+    ) -> None
+    async def close(
+        self,
+    ) -> None
+    forecast: rollcast.client.results.Forecast
+class Client(
+        base_url: str = 'http://127.0.0.1:8000',
+        *,
+        timeout_s: float = 60.0,
+        retries: int = 2,
+        transport: httpx2.BaseTransport | None = None,
+    ) -> None
+    def close(
+        self,
+    ) -> None
+    def health(
+        self,
+    ) -> rollcast.http.Health
+    def model(
+        self,
+        name: str,
+        version: int | None = None,
+    ) -> rollcast.http.ModelDetail
+    def models(
+        self,
+    ) -> list[rollcast.http.ModelEntry]
+    def predict(
+        self,
+        frames: Frames,
+        *,
+        horizon: int | None = None,
+        model: str = 'auto',
+        final_frame: Frame | None = None,
+        final_step: int | None = None,
+        objects: int | None = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield']] = None,
+        frame_rate: float = 40,
+        crop: Optional[Literal['square']] = None,
+    ) -> rollcast.client.results.Forecast
+    def predict_many(
+        self,
+        sequences: Iterable[Frames],
+        *,
+        final_frames: Iterable[Frame] | None = None,
+        concurrency: int = 4,
+        **options: Unpack[ForecastOptions],
+    ) -> list[rollcast.client.results.Forecast]
+    def predict_stream(
+        self,
+        frames: Frames,
+        *,
+        final_frame: Frame | None = None,
+        **options: Unpack[ForecastOptions],
+    ) -> 'ForecastStream'
+    def simulate(
+        self,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield']] = None,
+        *,
+        seed: int | None = None,
+        objects: int | None = None,
+        steps: int = 44,
+        start_step: int | None = None,
+        image_size: int = 128,
+        textured: bool | None = None,
+        include_frames: bool = True,
+        scene: rollcast.scene.Scene | Mapping[str, Any] | None = None,
+    ) -> rollcast.client.results.Simulation
+Crop = Literal['square']
+class Forecast(
+        positions: jaxtyping.Float64[ndarray, 'objects T 2'],
+        covariances: jaxtyping.Float64[ndarray, 'objects T 2 2'],
+        covariance_source: Literal['predicted', 'empirical'],
+        angular_velocities: jaxtyping.Float64[ndarray, 'objects T 3'] | None,
+        final_positions: jaxtyping.Float64[ndarray, 'objects 2'] | None,
+        times_s: jaxtyping.Float64[ndarray, 'T'],
+        colors: tuple[Literal['red', 'green', 'blue'], ...],
+        model: rollcast.http.ModelReference,
+        frame_size: tuple[int, int],
+        frame_rate: float,
+        warnings: tuple[str, ...],
+        timing_ms: rollcast.http.PredictTiming,
+    ) -> None
+    def from_events(
+        steps: Sequence[rollcast.http.StreamStep],
+        done: rollcast.http.StreamDone,
+    ) -> Self
+    def from_response(
+        response: rollcast.http.PredictResponse,
+    ) -> Self
+    def plot(
+        self,
+        frames: Frames,
+        *,
+        times_s: Sequence[float] | None = None,
+        crop: Optional[Literal['square']] = None,
+        panels: int = 6,
+    ) -> PIL.Image.Image
+    def to_dataframe(
+        self,
+    ) -> 'DataFrame'
+class ForecastStep(
+        step: int,
+        time_s: float,
+        positions: jaxtyping.Float64[ndarray, 'objects 2'],
+        covariances: jaxtyping.Float64[ndarray, 'objects 2 2'],
+        angular_velocities: jaxtyping.Float64[ndarray, 'objects 3'] | None,
+    ) -> None
+    def from_event(
+        event: rollcast.http.StreamStep,
+    ) -> Self
+class ForecastStream(
+        client: rollcast.client.sync.Client,
+        frames: Frames,
+        final_frame: Frame | None,
+        options: rollcast.client.calls.ForecastOptions,
+    ) -> None
+    def close(
+        self,
+    ) -> None
+    forecast: rollcast.client.results.Forecast
+Frame = numpy.ndarray | PIL.Image.Image | pathlib.Path | str
+Frames = Sequence[numpy.ndarray | PIL.Image.Image | pathlib.Path | str] | numpy.ndarray
+class Simulation(
+        frames: jaxtyping.UInt8[ndarray, 'steps S S 3'] | None,
+        positions: jaxtyping.Float64[ndarray, 'objects steps 2'],
+        angular_velocities: jaxtyping.Float64[ndarray, 'objects steps 3'],
+        times_s: jaxtyping.Float64[ndarray, 'steps'],
+        radii_px: jaxtyping.Float64[ndarray, 'objects'],
+        colors: tuple[Literal['red', 'green', 'blue'], ...],
+        scene: rollcast.scene.Scene,
+        start_step: int,
+        frame_size: tuple[int, int],
+        frame_rate: float,
+    ) -> None
+    def from_response(
+        response: rollcast.http.SimulateResponse,
+    ) -> Self
+    def plot(
+        self,
+        *,
+        panels: int = 6,
+    ) -> PIL.Image.Image
+    def to_dataframe(
+        self,
+    ) -> 'DataFrame'\
+""")
+
+
+def test_the_fake_service():
+    names = rollcast.client.testing.__all__
+    assert surface(rollcast.client.testing, names) == snapshot("""\
+class Asked(
+        method: str,
+        path: str,
+        fields: Mapping[str, Any],
+        frames: Sequence[bytes] = (),
+    ) -> None
+class FakeService(
+        positions: Union[ArrayLike, NoneType] = None,
+        *,
+        variance_px2: float = 1.0,
+        problem: rollcast.http.Problem | None = None,
+    ) -> None\
+""")
+
+
+def test_the_exceptions():
+    kinds = [kind for _, kind in inspect.getmembers(rollcast.errors, inspect.isclass)]
+    tree = inspect.getclasstree([kind for kind in kinds if issubclass(kind, Exception)])
+
+    def names(branch, depth=0):
+        for node in branch:
+            if isinstance(node, tuple):
+                yield "  " * depth + node[0].__name__
+            else:
+                yield from names(node, depth + 1)
+
+    assert "\n".join(names(tree)) == snapshot("""\
+Exception
+  RollcastError
+    ClientError
+      ProblemError
+        BusyError
+        RefusedError
+        ServiceFailedError
+      UnexpectedAnswerError
+      UnreachableError
+    FootageError
+      CropError
+    MissingExtraError
+    SceneParametersError
+    SceneRejectedError
+ImportError
+  MissingExtraError\
+""")
+
+
+def test_both_clients_have_the_same_methods():
+    def methods(kind):
+        return {
+            name: str(inspect.signature(value)).replace("Async", "")
+            for name, value in inspect.getmembers(kind, inspect.isfunction)
+            if not name.startswith("_")
+        }
+
+    assert methods(rollcast.client.Client) == methods(rollcast.client.AsyncClient)
+
+
+def test_the_options_of_a_stream_are_those_of_predict():
+    taken = inspect.signature(rollcast.client.Client.predict).parameters
+    assert {*ForecastOptions.__annotations__} == {*taken} - {"self", "frames", "final_frame"}
+
+
+def test_the_client_that_blocks_is_written_from_the_one_that_is_awaited():
+    assert TARGET.read_text() == sync_client(), "run python -m tests.rollcast.write_sync_client"
