@@ -1,6 +1,9 @@
 """The command line as its users call it: a process, a video file and the real service."""
 
+import csv
+import json
 import re
+import signal
 import socket
 import subprocess
 import sys
@@ -11,15 +14,19 @@ import pytest
 from PIL import Image, ImageColor
 
 from rollcast.plot import OVERVIEW_PX, PALETTE, PANEL_PX
-from tests.e2e.conftest import ROOT
+from tests.e2e.conftest import ROOT, said_address
 
 SIDE = 128
 BESIDE = 32  # columns of the video to the left and right of the scene
 
 
 def predict(*arguments):
+    return rollcast("predict", *arguments)
+
+
+def rollcast(*arguments):
     return subprocess.run(
-        [sys.executable, "-m", "rollcast", "predict", *map(str, arguments)],
+        [sys.executable, "-m", "rollcast", *map(str, arguments)],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -110,3 +117,51 @@ def test_a_reader_that_has_seen_enough_is_no_error(address, video):
         run.stdout.close()
         assert run.stderr.read() == ""
     assert run.returncode == 0
+
+
+def test_a_film_of_a_video_and_its_forecast(address, video, tmp_path):
+    out = tmp_path / "overlay.mp4"
+    crop = ("--crop", f"{BESIDE},0,{SIDE}")
+    run = predict(video, "--start", 0.25, *crop, "--url", address, "--out", out, "--format", "csv")
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.count("\n") == 1 + 40
+    with av.open(out) as container:
+        assert len(list(container.decode(video=0))) == 3 + 40
+
+
+def test_a_scene_in_a_folder_is_forecast_where_its_balls_go(address, tmp_path):
+    scene = tmp_path / "scene"
+    run = rollcast("simulate", "ellipsoid", "--seed", 7, "--url", address, "--out", scene)
+    assert (run.returncode, run.stderr) == (0, "")
+    run = predict(scene, "--url", address, "--horizon", 20, "--format", "json")
+    assert (run.returncode, run.stderr) == (0, "")
+    forecast = np.array(json.loads(run.stdout)["objects"][0]["positions"])
+    with (scene / "truth.csv").open() as file:
+        truth = np.array([[row["x_px"], row["y_px"]] for row in csv.DictReader(file)], float)
+    assert np.linalg.norm(forecast - truth[3:23], axis=1).mean() < 5
+
+
+def test_models_and_the_doctor(address):
+    run = rollcast("models", "--url", address)
+    assert (run.returncode, run.stderr) == (0, "")
+    assert re.search(r"^posnet@1\* .* ready$", run.stdout, re.MULTILINE)
+    run = rollcast("doctor", "--url", address)
+    assert (run.returncode, run.stderr) == (0, ""), run.stdout
+    assert "FAIL" not in run.stdout
+
+
+def test_serve_becomes_the_service():
+    with subprocess.Popen(
+        [sys.executable, "-m", "rollcast", "serve", "--port", "0"],
+        cwd=ROOT / "tests",  # from wherever it is called
+        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as service:
+        assert service.stdout is not None
+        address = said_address(service.stdout)
+        run = rollcast("models", "--url", address)
+        service.terminate()
+    assert service.returncode in {0, -signal.SIGTERM}
+    assert run.returncode == 0 or "not ready" in run.stderr

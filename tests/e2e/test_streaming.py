@@ -1,14 +1,16 @@
 """Streams of the real server, and clients that go away."""
 
+import asyncio
 import base64
 import io
 import time
 
 import httpx2
+import numpy as np
 import pytest
 from PIL import Image
 
-from rollcast.client import Client
+from rollcast.client import AsyncClient, Client
 
 HORIZON = 1000
 
@@ -47,3 +49,52 @@ def test_clients_that_go_away_leave_the_service_free(address, body):
     answer = httpx2.post(f"{address}/predict", json=body | {"horizon": 5}, timeout=30)
     assert answer.status_code == 200
     assert len(answer.json()["times_s"]) == 5
+
+
+@pytest.fixture(scope="module")
+def frames(address):
+    with Client(address) as client:
+        return client.simulate("hemisphere", seed=7, steps=4).frames
+
+
+def test_a_streamed_forecast_is_that_of_predict(client, frames):
+    whole = client.predict(frames, horizon=60)
+    with client.predict_stream(frames, horizon=60) as stream:
+        arrived = np.stack([step.positions for step in stream], axis=1)
+    np.testing.assert_allclose(arrived, whole.positions, atol=1e-2)
+    np.testing.assert_array_equal(stream.forecast.positions, arrived)
+    assert stream.forecast.warnings == whole.warnings
+
+
+def test_streams_that_are_left_early_free_the_service(client, frames):
+    """Far more of them than there are workers and places in the queue."""
+    for _ in range(100):
+        with client.predict_stream(frames, model="posnet", horizon=HORIZON) as stream:
+            assert next(stream).step == 0
+    assert client.predict(frames, horizon=5).positions.shape == (1, 5, 2)
+
+
+def test_the_awaited_client_answers_as_the_other(address, client, frames):
+    expected = client.predict(frames, horizon=20)
+
+    async def ask():
+        async with AsyncClient(address) as awaited:
+            forecast = await awaited.predict(frames, horizon=20)
+            many = await awaited.predict_many([frames] * 12, horizon=20, concurrency=6)
+            async with awaited.predict_stream(frames, model="posnet", horizon=HORIZON) as stream:
+                first = await anext(stream)
+            scene = await awaited.simulate("hemisphere", seed=7, steps=4)
+            return [forecast, *many], first, scene, await awaited.models()
+
+    forecasts, first, scene, models = asyncio.run(ask())
+    for forecast in forecasts:
+        np.testing.assert_allclose(forecast.positions, expected.positions, atol=1e-2)
+    assert first.step == 0
+    np.testing.assert_array_equal(scene.frames, frames)
+    assert models == client.models()
+
+
+def test_many_forecasts_by_threads(client, frames):
+    expected = client.predict(frames, horizon=20)
+    for forecast in client.predict_many([frames] * 12, horizon=20, concurrency=6):
+        np.testing.assert_allclose(forecast.positions, expected.positions, atol=1e-2)

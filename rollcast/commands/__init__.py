@@ -1,0 +1,1 @@
+"""The commands of ``rollcast``, one a file; ``rollcast/__main__.py`` puts them together."""

@@ -1,0 +1,125 @@
+"""``rollcast doctor``: whether everything is here that a forecast needs."""
+
+import platform
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+import typer
+
+from rollcast.client import Client
+from rollcast.commands.options import DEFAULT_URL, Outcome, Url, client
+from rollcast.commands.printing import as_json
+from rollcast.errors import RollcastError
+from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+
+HELP = """\
+Check Python, packages and the service, up to a forecast of a simulated ball.
+
+Every line begins with ok, note (works, but not all of it) or FAIL. The exit code is 1 if anything
+fails.
+
+\b
+Examples:
+  rollcast doctor
+  rollcast doctor --url http://robot:8000 --format json
+"""
+NEEDED = ("httpx2", "jaxtyping", "numpy", "pillow", "pydantic", "tenacity", "typer")
+EXTRAS = {
+    "video": ("av", "videos can be read and written"),
+    "dataframe": ("pandas", "results become data frames"),
+}
+"""Extras of the package: what they bring, and what for."""
+SEED = 7
+HORIZON = 20
+"""Of the forecast that is tried: every model was trained to as many steps."""
+LARGEST_ERROR_PX = 10.0
+"""Mean distance in 128 x 128 frames; a forecast that stays put errs more than twice as much."""
+
+
+class Finding(NamedTuple):
+    """What one check has found."""
+
+    verdict: Literal["ok", "note", "FAIL"]
+    about: str
+    told: str
+
+
+def doctor(
+    context: typer.Context,
+    url: Url = DEFAULT_URL,
+    form: Annotated[Literal["table", "json"], typer.Option("--format", help="how to print it")] = (
+        "table"
+    ),
+) -> Outcome:
+    """Make every check that the ones before it allow."""
+    findings = [*_installed(), *_extras()]
+    with client(context, url) as service:
+        findings += _service(service, url)
+    if form == "json":
+        text = as_json([finding._asdict() for finding in findings])
+    else:
+        text = "\n".join(
+            f"{finding.verdict:<5}{finding.about}: {finding.told}" for finding in findings
+        )
+    return Outcome(text, code=int(any(finding.verdict == "FAIL" for finding in findings)))
+
+
+def _installed() -> Iterator[Finding]:
+    yield Finding("ok", "python", platform.python_version())
+    try:
+        yield Finding("ok", "rollcast", version("rollcast"))
+    except PackageNotFoundError:
+        yield Finding("ok", "rollcast", "of this checkout, not installed")
+    found = [f"{name} {version(name)}" for name in NEEDED]
+    yield Finding("ok", "packages", ", ".join(found))
+
+
+def _extras() -> Iterator[Finding]:
+    for extra, (package, purpose) in EXTRAS.items():
+        if find_spec(package) is None:
+            yield Finding("note", extra, f"pip install 'rollcast[{extra}]', and {purpose}")
+        else:
+            yield Finding("ok", extra, f"{package} {version(package)}, {purpose}")
+
+
+def _service(service: Client, url: str) -> Iterator[Finding]:
+    try:
+        health = service.health()
+        if health.status != "ready":
+            yield Finding("FAIL", "service", f"{url} answers, but it is not ready: {health.status}")
+            return
+        yield Finding("ok", "service", f"{url} is ready")
+        yield from _models(service)
+        yield _round_trip(service)
+    except RollcastError as error:
+        yield Finding("FAIL", "service", f"{error}; is it running (make serve)?")
+
+
+def _models(service: Client) -> Iterator[Finding]:
+    entries = service.models()
+    ready = [entry for entry in entries if entry.status == "ready"]
+    yield Finding(
+        "ok" if ready else "FAIL", "models", f"{len(ready)} of {len(entries)} can be used"
+    )
+    for entry in entries:
+        if entry.status == "refused":
+            yield Finding("note", "models", f"{entry.name}@{entry.version}: {entry.reason}")
+
+
+def _round_trip(service: Client) -> Finding:
+    """Forecast a simulated ball and compare with where it went."""
+    scene = service.simulate("hemisphere", seed=SEED, steps=OBSERVED_FRAMES + HORIZON)
+    assert scene.frames is not None
+    forecast = service.predict(scene.frames[:OBSERVED_FRAMES], horizon=HORIZON)
+    truth = scene.positions[:, FIRST_FORECAST_FRAME:][:, :HORIZON]
+    error_px = float(np.linalg.norm(forecast.positions - truth, axis=-1).mean())
+    told = (
+        f"a simulated ball, {HORIZON} steps with {forecast.model.name}@{forecast.model.version}: "
+        f"{error_px:.1f} px off on average, in {forecast.timing_ms.total:.0f} ms"
+    )
+    if error_px > LARGEST_ERROR_PX:
+        return Finding("FAIL", "forecast", f"{told}; up to {LARGEST_ERROR_PX:g} px are expected")
+    return Finding("ok", "forecast", told)

@@ -1,0 +1,54 @@
+"""``rollcast models``: what the service can forecast with, and what it refuses."""
+
+from typing import Annotated, Literal
+
+import typer
+
+from rollcast.commands.options import DEFAULT_URL, Outcome, Url, client
+from rollcast.commands.printing import as_json, as_table
+from rollcast.http import ModelEntry
+
+HELP = """\
+List the models of a service, refused ones with the reason.
+
+A bare NAME means the version that is marked with *. The error is that on validation data, in pixels
+of 128 x 128 frames; HORIZON is how many steps the model was trained on.
+
+\b
+Examples:
+  rollcast models
+  rollcast models --format json
+"""
+
+
+def models(
+    context: typer.Context,
+    url: Url = DEFAULT_URL,
+    form: Annotated[Literal["table", "json"], typer.Option("--format", help="how to print it")] = (
+        "table"
+    ),
+) -> Outcome:
+    """Ask for the models and list them."""
+    with client(context, url) as service:
+        entries = service.models()
+    if form == "json":
+        return Outcome(as_json([entry.model_dump(mode="json") for entry in entries]))
+    if not entries:
+        return Outcome("the service has no models")
+    return Outcome(as_table([_row(entry) for entry in entries]))
+
+
+def _row(entry: ModelEntry) -> dict[str, object]:
+    """Describe a model in a line; of a refused one little may be known."""
+    error_px = None if entry.metrics is None else entry.metrics.validation_error_px
+    status = entry.status if entry.reason is None else f"{entry.status}: {entry.reason}"
+    return {
+        "MODEL": f"{entry.name}@{entry.version}{'*' if entry.default else ''}",
+        "VARIANT": entry.variant or "",
+        "BALLS": entry.objects or "",
+        "FRAMES": entry.frames or "",
+        "HORIZON": entry.trained_horizon or "",
+        "ERROR_PX": "" if error_px is None else f"{error_px:.2f}",
+        "SCENARIOS": ",".join(entry.scenarios or []),
+        "STATUS": status,
+    }

@@ -1,0 +1,166 @@
+"""What commands take, and what they return: options that several share, and their outcome."""
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple, TypeAlias
+
+import httpx2
+import typer
+
+from rollcast.client import Client
+from rollcast.footage import SquareCrop
+
+DEFAULT_URL = "http://127.0.0.1:8000"
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+FILMS = (".mp4", ".webm", ".gif")
+
+Connect: TypeAlias = Callable[[str], Client]
+"""Makes the client of an address."""
+Format: TypeAlias = Literal["table", "json", "csv"]
+
+
+class Outcome(NamedTuple):
+    """What a command has to say; it is printed when all has gone well."""
+
+    text: str
+    """For stdout, without the last line's end."""
+    warnings: Sequence[str] = ()
+    """For stderr."""
+    code: int = 0
+    """Exit code."""
+
+
+class CommandError(Exception):
+    """A command cannot do its work; the message is one line for the user."""
+
+
+def client(context: typer.Context, url: str) -> Client:
+    """Return a client of an address, made by whoever runs the commands."""
+    connect: Connect = context.obj
+    return connect(url)
+
+
+def _url(text: str) -> str:
+    fault = typer.BadParameter(f"{text} is not an address like {DEFAULT_URL}")
+    try:
+        url = httpx2.URL(text)
+    except httpx2.InvalidURL as error:
+        raise fault from error
+    if url.scheme not in {"http", "https"} or not url.host:
+        raise fault
+    return text
+
+
+def _seconds(text: str) -> float:
+    if not re.fullmatch(r"[0-9]+(\.[0-9]*)?|\.[0-9]+", text):
+        raise typer.BadParameter(f"{text} is not a number of seconds, 0 or more")
+    return float(text)
+
+
+def _rate(text: str) -> float:
+    if not re.fullmatch(r"[0-9]+(\.[0-9]*)?|\.[0-9]+", text) or not 0 < float(text) <= 100_000:
+        raise typer.BadParameter(f"{text} is not a number of frames a second")
+    return float(text)
+
+
+def _crop(text: str) -> SquareCrop:
+    if not re.fullmatch(r"[0-9]+,[0-9]+,[0-9]+", text):
+        raise typer.BadParameter(f"{text} is not X,Y,SIZE, three whole numbers")
+    return SquareCrop(*map(int, text.split(",")))
+
+
+def whole_number(lowest: int, highest: int) -> Callable[[str | int], int]:
+    """Return a parser of whole numbers within bounds."""
+
+    def parse(given: str | int) -> int:
+        text = str(given)  # a default is given as the number it is
+        if not re.fullmatch(r"[0-9]{1,16}", text) or not lowest <= int(text) <= highest:
+            raise typer.BadParameter(f"{text} is not a whole number from {lowest} to {highest}")
+        return int(text)
+
+    return parse
+
+
+def _drawing(text: str) -> Path:
+    path = Path(text)
+    if path.suffix.lower() not in PICTURES + FILMS:
+        raise typer.BadParameter(f"{text} is not a {', '.join(PICTURES + FILMS)} file")
+    return _in_a_folder(path)
+
+
+def _folder_or_film(text: str) -> Path:
+    path = Path(text)
+    if path.suffix and path.suffix.lower() not in FILMS:
+        raise typer.BadParameter(f"{text} is neither a folder nor a {', '.join(FILMS)} file")
+    return _in_a_folder(path)
+
+
+def _in_a_folder(path: Path) -> Path:
+    if not path.parent.is_dir():
+        raise typer.BadParameter(f"the folder {path.parent} does not exist")
+    return path
+
+
+Url: TypeAlias = Annotated[
+    str, typer.Option(parser=_url, metavar="ADDRESS", help="address of the service")
+]
+Start: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        parser=_seconds,
+        metavar="SECONDS",
+        help="time of the first of the four frames in the video (default: 0)",
+    ),
+]
+Every: TypeAlias = Annotated[
+    int | None,
+    typer.Option(
+        parser=whole_number(1, 1000),
+        metavar="N",
+        help="take every N-th frame (default: of a video as near as possible to 40 a second, of "
+        "images all)",
+    ),
+]
+Rate: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        parser=_rate,
+        metavar="HZ",
+        help="images a second, of all of them (default: 40); a video tells its own",
+    ),
+]
+Crop: TypeAlias = Annotated[
+    SquareCrop | None,
+    typer.Option(
+        parser=_crop,
+        metavar="X,Y,SIZE",
+        help="the square that is looked at: left column, upper row, side, in pixels (default: the "
+        "largest in the middle); models know frames that the bowl or plane just fills",
+    ),
+]
+Drawing: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        parser=_drawing,
+        metavar="FILE",
+        help="draw over the footage: a picture (.png, .jpg, .webp), or frame by frame (.mp4, "
+        ".webm, .gif)",
+    ),
+]
+FolderOrFilm: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        parser=_folder_or_film,
+        metavar="FOLDER|FILE",
+        help="an empty or new folder for the frames, the truth and the scene; or a film of the "
+        "frames (.mp4, .webm, .gif)",
+    ),
+]
+Slower: TypeAlias = Annotated[
+    int,
+    typer.Option(
+        parser=whole_number(1, 100), metavar="N", help="show a film N times slower than it was"
+    ),
+]
+Printed: TypeAlias = Annotated[Format, typer.Option("--format", help="how to print it")]

@@ -1,0 +1,79 @@
+"""A forecast drawn over the footage: one picture, or frame by frame."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from rollcast.client import Forecast
+from rollcast.commands.options import FILMS
+from rollcast.commands.progress import counted
+from rollcast.commands.reading import LaterFrames
+from rollcast.errors import FootageError
+from rollcast.film import write_film
+from rollcast.footage import Footage
+from rollcast.plot import draw_forecast, draw_moment
+
+LATER_FRAMES = 6
+"""In the picture, where the footage goes on after the observed frames."""
+FRAMES_AT_ONCE = 40
+"""Of the footage that are held while a film is made."""
+
+
+def draw(
+    path: Path, observed: Footage, later_frames: LaterFrames, forecast: Forecast, slower: int
+) -> None:
+    """Write the picture or the film that a file's name asks for."""
+    if path.suffix.lower() in FILMS:
+        steps = len(observed.frames) - 1 + len(forecast.times_s)
+        moments = counted(_moments(observed, later_frames, forecast), steps, "drawing")
+        write_film(path, moments, forecast.frame_rate / slower)
+    else:
+        _picture(observed, later_frames, forecast).save(path)
+
+
+def spread(steps: int, count: int) -> list[int]:
+    """Return at most ``count`` steps from the first to the last, evenly spread."""
+    return sorted({round(step) for step in np.linspace(0, steps - 1, min(steps, count)).tolist()})
+
+
+def _picture(observed: Footage, later_frames: LaterFrames, forecast: Forecast) -> Image.Image:
+    now_s = observed.times_s[-1]
+    wanted_s = now_s + forecast.times_s[spread(len(forecast.times_s), LATER_FRAMES + 1)]
+    shown = later_frames(wanted_s.tolist())
+    return draw_forecast(shown.frames, shown.times_s - now_s, forecast)
+
+
+def _moments(
+    observed: Footage, later_frames: LaterFrames, forecast: Forecast
+) -> Iterator[Image.Image]:
+    """Draw the observed frames as they are, then the forecast over what really happened."""
+    now_s = float(observed.times_s[-1])
+    for frame, taken_s in zip(observed.frames[:-1], observed.times_s[:-1].tolist(), strict=True):
+        yield draw_moment(frame, taken_s - now_s, forecast, f"{taken_s - now_s:+.2f} s, seen")
+    last = observed.frames[-1]
+    for first in range(0, len(forecast.times_s), FRAMES_AT_ONCE):
+        times_s: list[float] = forecast.times_s[first : first + FRAMES_AT_ONCE].tolist()
+        shown = _shown(later_frames, [now_s + time_s for time_s in times_s])
+        for time_s in times_s:
+            title = f"+{time_s:.2f} s"
+            frame = _frame_at(shown, now_s + time_s, 0.5 / forecast.frame_rate)
+            if frame is None:
+                title += ", the footage has ended"
+            else:
+                last = frame
+            yield draw_moment(last, time_s, forecast, title)
+
+
+def _shown(later_frames: LaterFrames, wanted_s: Sequence[float]) -> Footage | None:
+    try:
+        return later_frames(wanted_s)
+    except FootageError:  # a video that ends before the first of them
+        return None
+
+
+def _frame_at(footage: Footage | None, time_s: float, tolerance_s: float) -> np.ndarray | None:
+    if footage is None or not len(footage.times_s) or time_s > footage.times_s[-1] + tolerance_s:
+        return None
+    return footage.frames[int(np.abs(footage.times_s - time_s).argmin())]

@@ -1,0 +1,105 @@
+"""``rollcast predict``: where the ball of a video or of images goes."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rollcast.commands.options import (
+    DEFAULT_URL,
+    Crop,
+    Drawing,
+    Every,
+    Outcome,
+    Printed,
+    Rate,
+    Slower,
+    Start,
+    Url,
+    client,
+    whole_number,
+)
+from rollcast.commands.overlay import draw
+from rollcast.commands.printing import forecast_text
+from rollcast.commands.progress import waiting
+from rollcast.commands.reading import read
+from rollcast.http import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON
+from rollcast.scene import MAX_OBJECTS, Scenario
+
+UNEVEN = 0.25
+"""Share by which a frame may come early or late without a warning."""
+
+HELP = """\
+Forecast the ball of a video or of images.
+
+Reads four frames, asks a running service where the ball goes, prints the path and, with --out,
+draws it over the footage.
+
+\b
+Examples:
+  rollcast predict clip.mp4 --start 2.0 --crop 100,0,480 --out overlay.png
+  rollcast predict clip.mp4 --every 3 --out overlay.mp4 --slower 4
+  rollcast predict frames/ --rate 120 --every 3 --format csv > forecast.csv
+"""
+
+
+def predict(
+    context: typer.Context,
+    footage: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="VIDEO|FOLDER|IMAGES",
+            help="a video, of which four frames as near as possible to 40 a second are read; or a "
+            "folder of images, or at least four images, 40 a second",
+            show_default=False,
+        ),
+    ],
+    start: Start = None,
+    every: Every = None,
+    rate: Rate = None,
+    crop: Crop = None,
+    horizon: Annotated[
+        int,
+        typer.Option(
+            parser=whole_number(1, MAX_HORIZON),
+            metavar="STEPS",
+            help="steps to forecast, as far apart as the frames",
+        ),
+    ] = DEFAULT_HORIZON,
+    model: Annotated[
+        str, typer.Option(metavar="NAME", help="auto, NAME or NAME@VERSION")
+    ] = AUTO_MODEL,
+    objects: Annotated[
+        int | None,
+        typer.Option(
+            parser=whole_number(1, MAX_OBJECTS),
+            metavar="BALLS",
+            help="how many balls there are (default: the model's, with auto 1)",
+        ),
+    ] = None,
+    scenario: Annotated[
+        Scenario | None, typer.Option(help="let auto choose among models made for it")
+    ] = None,
+    url: Url = DEFAULT_URL,
+    form: Printed = "table",
+    out: Drawing = None,
+    slower: Slower = 1,
+) -> Outcome:
+    """Read frames, ask the service where the ball goes, say and draw what it answers."""
+    observed, later_frames = read(footage, start, every, rate, crop)
+    with client(context, url) as service, waiting("waiting for the service"):
+        forecast = service.predict(
+            list(observed.frames),
+            horizon=horizon,
+            model=model,
+            objects=objects,
+            scenario=scenario,
+            frame_rate=observed.frame_rate,
+        )
+    if out is not None:
+        draw(out, observed, later_frames, forecast, slower)
+    warnings = list(forecast.warnings)
+    if observed.unevenness > UNEVEN:
+        warnings.insert(0, "the four frames are not evenly spaced; the footage lacks some there")
+    text = forecast_text(observed, forecast, warnings, form)
+    return Outcome(text, warnings if form == "csv" else ())

@@ -1,0 +1,132 @@
+"""Results as text: tables for people, JSON and CSV for programs."""
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from rollcast.client import Forecast, Simulation
+from rollcast.client.tables import Columns, forecast_columns, simulation_columns
+from rollcast.commands.options import Format
+from rollcast.commands.overlay import spread
+from rollcast.footage import Footage
+
+TABLE_ROWS = 10
+
+
+def forecast_text(
+    observed: Footage, forecast: Forecast, warnings: Sequence[str], form: Format
+) -> str:
+    """Print a forecast in pixels of the uncropped picture; CSV has no place for warnings."""
+    crop = observed.crop
+    columns = forecast_columns(forecast)
+    columns["x_px"] = columns["x_px"] + crop.x
+    columns["y_px"] = columns["y_px"] + crop.y
+    if form == "csv":
+        return as_csv(columns)
+    model = f"{forecast.model.name}@{forecast.model.version}"
+    if form == "table":
+        lines = [
+            f"{model}: four frames from {observed.times_s[0]:.3f} s to "
+            f"{observed.times_s[-1]:.3f} s ({observed.frame_rate:.3g} a second), crop "
+            f"{crop.x},{crop.y},{crop.size}",
+            "time_s: seconds after the last of them; x, y: pixels of the uncropped picture",
+        ]
+        told = [f"warning: {warning}" for warning in warnings]
+        return "\n".join([*lines, *_path_table(columns), *told])
+    return as_json(
+        {
+            "model": model,
+            "frame_rate": forecast.frame_rate,
+            "crop": asdict(crop),
+            "observed_times_s": observed.times_s.tolist(),
+            "times_s": forecast.times_s.tolist(),
+            "objects": [
+                {
+                    "id": ball,
+                    "color": color,
+                    "positions": (forecast.positions[ball] + (crop.x, crop.y)).tolist(),
+                    "covariances": forecast.covariances[ball].tolist(),
+                    "covariance_source": forecast.covariance_source,
+                    "angular_velocities": None
+                    if forecast.angular_velocities is None
+                    else forecast.angular_velocities[ball].tolist(),
+                }
+                for ball, color in enumerate(forecast.colors)
+            ],
+            "warnings": list(warnings),
+        }
+    )
+
+
+def truth_text(simulation: Simulation, form: Format) -> str:
+    """Print a true path in pixels of the frames."""
+    columns = simulation_columns(simulation)
+    if form == "csv":
+        return as_csv(columns)
+    if form == "table":
+        return "\n".join(
+            [
+                f"{simulation.scene.scenario}, seed {simulation.scene.seed}: "
+                f"{len(simulation.times_s)} steps, {simulation.frame_rate:g} a second",
+                "time_s: seconds after the first; x, y: pixels of the frames",
+                *_path_table(columns),
+            ]
+        )
+    return as_json(
+        {
+            "frame_rate": simulation.frame_rate,
+            "frame_size": simulation.frame_size,
+            "times_s": simulation.times_s.tolist(),
+            "objects": [
+                {
+                    "id": ball,
+                    "color": color,
+                    "radius_px": float(simulation.radii_px[ball]),
+                    "positions": simulation.positions[ball].tolist(),
+                    "angular_velocities": simulation.angular_velocities[ball].tolist(),
+                }
+                for ball, color in enumerate(simulation.colors)
+            ],
+            "scene": simulation.scene.model_dump(mode="json"),
+        }
+    )
+
+
+def as_json(value: object) -> str:
+    """Return JSON to be read by people as well."""
+    return json.dumps(value, indent=1)
+
+
+def as_csv(columns: Columns) -> str:
+    """Return a line of names and a line for every row."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+    return text.getvalue().rstrip("\n")
+
+
+def as_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return left-aligned columns; the keys of the first row are their names."""
+    cells = [[*rows[0]], *[[str(value) for value in row.values()] for row in rows]]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in cells
+    )
+
+
+def _path_table(columns: Columns) -> list[str]:
+    """Show some steps, evenly spread, of every ball."""
+    balls = int(columns["object"].max()) + 1
+    lines = [f"{'time_s':>7} {'ball':>4} {'x':>8} {'y':>8}"]
+    for step in spread(len(columns["step"]) // balls, TABLE_ROWS):
+        for row in range(balls * step, balls * (step + 1)):
+            lines.append(
+                f"{columns['time_s'][row]:7.3f} {columns['object'][row]:4} "
+                f"{columns['x_px'][row]:8.1f} {columns['y_px'][row]:8.1f}"
+            )
+    return lines

@@ -1,0 +1,31 @@
+"""Signs of life on stderr while something takes long, on a terminal alone."""
+
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from typing import TypeVar
+
+from rich.console import Console
+from rich.progress import track
+
+T = TypeVar("T")
+
+
+def counted(items: Iterable[T], total: int, what: str) -> Iterator[T]:
+    """Pass items on and show how many of them have gone by."""
+    console = Console(stderr=True)
+    return iter(
+        track(
+            items,
+            what,
+            total=total,
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+    )
+
+
+def waiting(what: str) -> AbstractContextManager[object]:
+    """Show that something is waited for whose length nobody knows."""
+    console = Console(stderr=True)
+    return console.status(what) if console.is_terminal else nullcontext()

@@ -1,0 +1,87 @@
+"""Frames of what a user names: a video, a folder of images, or images."""
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from rollcast.commands.options import CommandError
+from rollcast.errors import MissingExtraError
+from rollcast.footage import Footage, SquareCrop, read_images
+from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
+
+IMAGE_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
+FASTEST_HZ = 1e5
+"""More frames a second than any video has: what is read at this rate are all of its frames."""
+
+LaterFrames = Callable[[Sequence[float]], Footage]
+"""Reads the frames nearest to some times of the footage, seconds; those after its end are left
+out."""
+
+
+def read(
+    paths: Sequence[Path],
+    start_s: float | None,
+    every: int | None,
+    rate: float | None,
+    crop: SquareCrop | None,
+) -> tuple[Footage, LaterFrames]:
+    """Return the observed frames and what reads later ones.
+
+    Raises
+    ------
+    CommandError
+        When the options do not fit what was named.
+    RollcastError
+        When it cannot be read.
+    """
+    if len(paths) == 1 and not paths[0].is_dir():
+        if rate is not None:
+            raise CommandError("--rate is for images; a video tells its own")
+        return _read_video(paths[0], start_s or 0.0, every, crop)
+    if start_s is not None:
+        raise CommandError("--start is for a video; of images the first four are observed")
+    images = _images_in(paths[0]) if len(paths) == 1 else paths
+    return _read_images(images[::every], (rate or FRAME_RATE_HZ) / (every or 1), crop)
+
+
+def _read_video(
+    path: Path, start_s: float, every: int | None, crop: SquareCrop | None
+) -> tuple[Footage, LaterFrames]:
+    try:
+        from rollcast.video import frames_at, read_frames
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("videos need", "PyAV", "video") from error
+    rate: float = FRAME_RATE_HZ
+    if every is not None:
+        all_of_them = read_frames(path, start_s=start_s, crop=crop, frame_rate=FASTEST_HZ)
+        rate = all_of_them.frame_rate / every
+    observed = read_frames(path, start_s=start_s, crop=crop, frame_rate=rate)
+    return observed, lambda times_s: frames_at(path, times_s, crop=crop)
+
+
+def _read_images(
+    paths: Sequence[Path], rate: float, crop: SquareCrop | None
+) -> tuple[Footage, LaterFrames]:
+    if len(paths) < OBSERVED_FRAMES:
+        raise CommandError(
+            f"{len(paths)} images, expected a video, a folder or at least four images"
+        )
+    footage = read_images(paths, crop=crop, frame_rate=rate)
+
+    def later_frames(times_s: Sequence[float]) -> Footage:
+        indices = [round(time_s * rate) for time_s in times_s]
+        return footage.part([index for index in indices if index < len(paths)])
+
+    return footage.part(slice(OBSERVED_FRAMES)), later_frames
+
+
+def _images_in(folder: Path) -> list[Path]:
+    """Return the images of a folder; frame10 comes after frame9."""
+    images = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+    return sorted(
+        images,
+        key=lambda path: [
+            (int(part), "") if part.isdigit() else (-1, part)
+            for part in re.split(r"([0-9]+)", path.name)
+        ],
+    )

@@ -1,0 +1,73 @@
+"""``rollcast serve``: the service of a checkout, or how to get one."""
+
+import os
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rollcast.commands.options import CommandError, Outcome, whole_number
+
+HELP = """\
+Serve the models of this checkout until stopped.
+
+The package alone has neither the service nor models: outside a checkout the command of the
+container is printed, and the exit code is 1. `python -m service --help` describes every setting.
+
+\b
+Examples:
+  rollcast serve
+  rollcast serve --port 9000
+"""
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+def serve(
+    host: Annotated[
+        str,
+        typer.Option(
+            metavar="HOST", help="address to listen on; 0.0.0.0 opens the service to the network"
+        ),
+    ] = "127.0.0.1",
+    port: Annotated[
+        int,
+        typer.Option(
+            parser=whole_number(0, 2**16 - 1), metavar="PORT", help="port, 0 for a free one"
+        ),
+    ] = 8000,
+) -> Outcome:
+    """Become the service, if it is here."""
+    if is_checkout(CHECKOUT):
+        python = _python(CHECKOUT)
+        os.chdir(CHECKOUT)
+        os.execv(python, [python, "-m", "service", "--host", host, "--port", str(port)])
+    return Outcome(
+        container_command(host, port),
+        [
+            "the service is not part of the package; this starts its container, built in a "
+            "checkout with docker build -f docker/service.Dockerfile -t rollcast ."
+        ],
+        code=1,
+    )
+
+
+def is_checkout(root: Path) -> bool:
+    """Tell whether the service lies beside the package."""
+    return (root / "service" / "__main__.py").is_file()
+
+
+def container_command(host: str, port: int) -> str:
+    """Return the command that starts the service's container."""
+    return f"docker run --rm --read-only --tmpfs /tmp -p {host}:{port}:8000 rollcast"
+
+
+def _python(root: Path) -> str:
+    """Return an interpreter that has what the service needs."""
+    made = root / ".venv" / "service" / "bin" / "python"
+    if made.is_file():
+        return str(made)
+    if find_spec("fastapi") and find_spec("onnxruntime"):
+        return sys.executable
+    raise CommandError("the service's packages are not installed; make serve installs and serves")

@@ -1,0 +1,116 @@
+"""``rollcast simulate``: scenes to try forecasts on, with the true path."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from PIL import Image
+
+from rollcast.client import Simulation
+from rollcast.commands.options import (
+    DEFAULT_URL,
+    FILMS,
+    CommandError,
+    FolderOrFilm,
+    Format,
+    Outcome,
+    Printed,
+    Slower,
+    Url,
+    client,
+    whole_number,
+)
+from rollcast.commands.printing import as_json, truth_text
+from rollcast.commands.progress import counted, waiting
+from rollcast.film import write_film
+from rollcast.http import DEFAULT_HORIZON, MAX_IMAGE_SIZE, MAX_STEPS, MIN_FRAME_SIZE, MIN_STEPS
+from rollcast.scene import MAX_OBJECTS, MAX_SEED, Scenario
+from rollcast.trajectory import OBSERVED_FRAMES
+
+HELP = """\
+Simulate a scene: its frames and the true path.
+
+Without --out the path is printed. The same seed gives the same frames.
+
+\b
+Examples:
+  rollcast simulate ellipsoid --seed 7
+  rollcast simulate ellipsoid --seed 7 --out scene && rollcast predict scene
+  rollcast simulate heightfield --steps 200 --size 512 --out scene.mp4 --slower 2
+"""
+
+
+def simulate(
+    context: typer.Context,
+    scenario: Annotated[
+        Scenario, typer.Argument(help="what the balls roll in", metavar="SCENARIO")
+    ],
+    seed: Annotated[
+        int, typer.Option(parser=whole_number(0, MAX_SEED), metavar="SEED", help="names the scene")
+    ] = 0,
+    objects: Annotated[
+        int,
+        typer.Option(
+            parser=whole_number(1, MAX_OBJECTS), metavar="BALLS", help="how many balls there are"
+        ),
+    ] = 1,
+    steps: Annotated[
+        int,
+        typer.Option(
+            parser=whole_number(MIN_STEPS, MAX_STEPS), metavar="STEPS", help="frames, 40 a second"
+        ),
+    ] = OBSERVED_FRAMES + DEFAULT_HORIZON,
+    size: Annotated[
+        int,
+        typer.Option(
+            parser=whole_number(MIN_FRAME_SIZE, MAX_IMAGE_SIZE),
+            metavar="PIXELS",
+            help="side of the frames",
+        ),
+    ] = 128,
+    url: Url = DEFAULT_URL,
+    form: Printed = "table",
+    out: FolderOrFilm = None,
+    slower: Slower = 1,
+) -> Outcome:
+    """Ask for a scene; say where its balls go, or write that and what they look like."""
+    film = out is not None and out.suffix.lower() in FILMS
+    if out is not None and not film and not _is_free(out):
+        raise CommandError(f"{out} is not an empty folder; --out takes a new one")
+    if film and size % 2:
+        raise CommandError(f"--size is {size}; a film's is even")
+    with client(context, url) as service, waiting("waiting for the service"):
+        simulation = service.simulate(
+            scenario,
+            seed=seed,
+            objects=objects,
+            steps=steps,
+            image_size=size,
+            include_frames=out is not None,
+        )
+    if out is None or simulation.frames is None:
+        return Outcome(truth_text(simulation, form))
+    pictures = counted(map(Image.fromarray, simulation.frames), steps, "writing")
+    if film:
+        write_film(out, pictures, simulation.frame_rate / slower)
+        return Outcome(f"{out}: {steps} frames")
+    out.mkdir(exist_ok=True)
+    for index, picture in enumerate(pictures):
+        picture.save(out / f"frame{index:04}.png")
+    truth = _write_truth(out, simulation, form)
+    return Outcome(
+        f"{out}: {steps} frames, {truth.name} and scene.json; `rollcast predict {out}` forecasts "
+        "what follows the first four"
+    )
+
+
+def _is_free(folder: Path) -> bool:
+    return not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
+
+
+def _write_truth(folder: Path, simulation: Simulation, form: Format) -> Path:
+    """Write the true path beside the frames, and the scene, which can be asked for again."""
+    (folder / "scene.json").write_text(as_json(simulation.scene.model_dump(mode="json")) + "\n")
+    truth = folder / ("truth.json" if form == "json" else "truth.csv")
+    truth.write_text(truth_text(simulation, "json" if form == "json" else "csv") + "\n")
+    return truth

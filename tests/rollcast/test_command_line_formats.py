@@ -1,0 +1,174 @@
+"""``rollcast predict``: what it reads, prints and draws beyond a table and a picture."""
+
+import csv
+import io
+import json
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from rollcast.__main__ import main
+from rollcast.client import Client
+from rollcast.client.testing import FakeService
+from rollcast.plot import FILM_PX
+
+SIDE = 64
+OFF = 8
+"""Columns beside the square that is looked at."""
+
+
+@pytest.fixture
+def service():
+    return FakeService()
+
+
+@pytest.fixture
+def run(service, capsys):
+    def run(*arguments):
+        code = main(["predict", *map(str, arguments)], lambda url: Client(url, transport=service))
+        printed = capsys.readouterr()
+        return code, printed.out, printed.err
+
+    return run
+
+
+@pytest.fixture
+def images(tmp_path):
+    """Twelve images, each a little brighter."""
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for number in range(12):
+        picture = np.full((SIDE, SIDE + 2 * OFF, 3), 20 * number, np.uint8)
+        Image.fromarray(picture).save(folder / f"frame{number}.png")
+    return folder
+
+
+@pytest.fixture
+def video(tmp_path):
+    """A second of 60 frames, each a little brighter."""
+    path = tmp_path / "clip.mkv"
+    with av.open(path, "w") as container:
+        stream = container.add_stream("ffv1", rate=60)
+        stream.width, stream.height, stream.pix_fmt = SIDE, SIDE, "bgr0"
+        for number in range(60):
+            frame = np.full((SIDE, SIDE, 3), 4 * number, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode())
+    return path
+
+
+def frame_rate(service):
+    return float(service.asked[-1].fields["frame_rate"])
+
+
+def brightness(service):
+    """Of the frames that were sent."""
+    return [
+        int(np.asarray(Image.open(io.BytesIO(frame)))[0, 0, 0])
+        for frame in service.asked[-1].frames
+    ]
+
+
+def test_every_nth_frame_of_a_video(run, service, video):
+    assert run(video, "--every", 3, "--start", 0.1)[0] == 0
+    assert frame_rate(service) == pytest.approx(20, rel=0.02)
+    np.testing.assert_allclose(brightness(service), [24, 36, 48, 60], atol=1)
+    assert run(video, "--every", 1)[0] == 0
+    assert frame_rate(service) == pytest.approx(60, rel=0.02)
+    np.testing.assert_allclose(brightness(service), [0, 4, 8, 12], atol=1)
+
+
+def test_every_nth_image_and_their_rate(run, service, images):
+    assert run(images, "--every", 2, "--rate", 100)[0] == 0
+    assert frame_rate(service) == pytest.approx(50)
+    assert brightness(service) == [0, 40, 80, 120]
+    assert run(images, "--every", 4)[2].startswith("rollcast: 3 images, expected")
+
+
+def test_a_video_tells_its_own_rate(run, video):
+    code, _, errors = run(video, "--rate", 30)
+    assert (code, errors) == (1, "rollcast: --rate is for images; a video tells its own\n")
+
+
+def test_what_is_asked_of_the_service(run, service, images):
+    options = ["--objects", 2, "--scenario", "ellipsoid", "--model", "posnet", "--horizon", 7]
+    assert run(images, *options)[0] == 0
+    fields = service.asked[-1].fields
+    assert {name: fields[name] for name in ("objects", "scenario", "model", "horizon")} == {
+        "objects": "2",
+        "scenario": "ellipsoid",
+        "model": "posnet",
+        "horizon": "7",
+    }
+
+
+def test_csv_has_every_step_of_every_ball(run, images):
+    code, printed, errors = run(
+        images, "--format", "csv", "--objects", 2, "--horizon", 30, "--crop", f"{OFF},0,{SIDE}"
+    )
+    assert code == 0
+    assert errors.startswith("rollcast: warning: The horizon of 30 steps"), "CSV has no place"
+    rows = list(csv.DictReader(io.StringIO(printed)))
+    assert len(rows) == 60
+    with Client(transport=FakeService()) as client:
+        forecast = client.predict(np.zeros((4, SIDE, SIDE, 3), np.uint8), objects=2, horizon=30)
+    path = [[float(row["x_px"]), float(row["y_px"])] for row in rows if row["color"] == "green"]
+    np.testing.assert_allclose(path, forecast.positions[1] + [OFF, 0])
+
+
+def test_json_is_the_whole_forecast(run, images):
+    code, printed, errors = run(images, "--format", "json", "--horizon", 25)
+    assert (code, errors) == (0, "")
+    answer = json.loads(printed)
+    assert (answer["model"], answer["frame_rate"]) == ("fake@1", 40)
+    assert answer["crop"] == {"x": OFF, "y": 0, "size": SIDE}
+    assert np.shape(answer["objects"][0]["positions"]) == (25, 2)
+    assert np.shape(answer["objects"][0]["covariances"]) == (25, 2, 2)
+    assert answer["objects"][0]["positions"][0][0] > OFF + 0.3 * SIDE
+    assert len(answer["warnings"]) == 1
+
+
+def film_frames(path):
+    """Every picture of a film and how long it lasts, seconds."""
+    if path.suffix == ".gif":
+        with Image.open(path) as film:
+            frames = []
+            for number in range(film.n_frames):
+                film.seek(number)
+                frames.append((np.asarray(film.convert("RGB")), film.info["duration"] / 1000))
+        return frames
+    with av.open(path) as container:
+        rate = float(container.streams.video[0].average_rate)
+        return [(frame.to_ndarray(format="rgb24"), 1 / rate) for frame in container.decode(video=0)]
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".webm", ".gif"])
+def test_a_film_shows_the_footage_with_the_forecast_over_it(run, images, tmp_path, suffix):
+    out = tmp_path / f"overlay{suffix}"
+    code, printed, errors = run(images, "--out", out, "--horizon", 15, "--slower", 2)
+    assert (code, errors) == (0, ""), printed
+    frames = film_frames(out)
+    assert len(frames) == 3 + 15
+    assert all(frame.shape == (FILM_PX, FILM_PX, 3) for frame, _ in frames)
+    assert sum(seconds for _, seconds in frames) == pytest.approx(18 / 20, rel=0.05)
+    corner = [int(frame[-5, -5, 0]) for frame, _ in frames]
+    # The footage goes on under the forecast, and its last frame stays when it ends.
+    np.testing.assert_allclose(corner, [20 * min(index, 11) for index in range(18)], atol=8)
+    scale = FILM_PX / SIDE
+    for index, (frame, _) in enumerate(frames):
+        x, y = (np.array([0.3 + 0.01 * index, 0.3 + 0.004 * index]) * SIDE * scale).astype(int)
+        patch = frame[y - 3 : y + 4, x - 3 : x + 4].astype(int)
+        contrast = int(np.abs(patch - corner[index]).max())
+        assert (contrast > 60) == (index >= 3), "the observed frames are shown as they are"
+
+
+def test_a_film_over_a_video(run, video, tmp_path):
+    out = tmp_path / "overlay.mp4"
+    assert run(video, "--out", out, "--horizon", 100, "--start", 0.2)[0] == 0
+    frames = film_frames(out)
+    assert len(frames) == 103
+    corner = [int(frame[-5, -5, 0]) for frame, _ in frames]
+    assert corner[20] > corner[5] + 20
+    np.testing.assert_allclose(corner[60:], corner[-1], atol=4)
