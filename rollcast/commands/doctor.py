@@ -89,7 +89,9 @@ def _service(service: Client, url: str) -> Iterator[Finding]:
     try:
         health = service.health()
         if health.status != "ready":
-            yield Finding("FAIL", "service", f"{url} answers, but it is not ready: {health.status}")
+            hint = "; try again in some seconds" if health.status == "loading" else ""
+            told = f"{url} answers, but it is not ready: {health.status}{hint}"
+            yield Finding("FAIL", "service", told)
             return
         yield Finding("ok", "service", f"{url} is ready")
         yield from _models(service)

@@ -2,11 +2,14 @@
 
 import csv
 import json
+import os
+import pty
 import re
 import signal
 import socket
 import subprocess
 import sys
+from contextlib import suppress
 
 import av
 import numpy as np
@@ -127,6 +130,30 @@ def test_a_film_of_a_video_and_its_forecast(address, video, tmp_path):
     assert run.stdout.count("\n") == 1 + 40
     with av.open(out) as container:
         assert len(list(container.decode(video=0))) == 3 + 40
+
+
+def test_a_terminal_sees_progress_and_a_pipe_does_not(address, video, tmp_path):
+    command = [sys.executable, "-m", "rollcast", "predict", str(video), "--url", address]
+    terminal, stderr = pty.openpty()
+    with subprocess.Popen(
+        [*command, "--crop", f"{BESIDE},0,{SIDE}", "--out", str(tmp_path / "overlay.gif")],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=stderr,
+        text=True,
+    ) as run:
+        os.close(stderr)
+        seen = b""
+        with suppress(OSError):  # the terminal's other end is closed
+            while part := os.read(terminal, 4096):
+                seen += part
+        os.close(terminal)
+        assert run.stdout is not None
+        printed = run.stdout.read()
+    assert run.returncode == 0
+    assert b"waiting for the service" in seen
+    assert b"drawing" in seen
+    assert "\x1b" not in printed
 
 
 def test_a_scene_in_a_folder_is_forecast_where_its_balls_go(address, tmp_path):
