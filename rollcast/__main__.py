@@ -91,7 +91,7 @@ def _stopped(code: int | None) -> int:
 
 
 def _failed(reason: str, code: int = 1) -> int:
-    print(f"rollcast: {' '.join(reason.split())}", file=sys.stderr)
+    print(f"rollcast: {' '.join(reason.splitlines())}", file=sys.stderr)
     return code
 
 

@@ -9,6 +9,7 @@ import httpx2
 import numpy as np
 import pytest
 
+from rollcast.client import AsyncClient
 from rollcast.client.testing import FakeService
 from rollcast.errors import RefusedError
 
@@ -80,6 +81,23 @@ def test_the_first_that_fails_ends_them_all(client):
         client(service).predict_many([SEQUENCES[0], wide, *SEQUENCES * 20], concurrency=2)
     assert service.asked < 200
     assert service.waiting == 0
+
+
+def test_whoever_stops_awaiting_leaves_nothing_running():
+    service = Counting(3)  # two wait for a third that never comes
+
+    async def scenario():
+        async with AsyncClient(transport=service) as client:
+            many = asyncio.ensure_future(client.predict_many(SEQUENCES, concurrency=2))
+            while service.waiting < 2:
+                await asyncio.sleep(0.001)
+            many.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await many
+            return asyncio.all_tasks() - {asyncio.current_task()}
+
+    assert asyncio.run(scenario()) == set()
+    assert (service.asked, service.waiting) == (2, 0)
 
 
 def test_nothing_is_asked_of_nobody(client):

@@ -94,8 +94,9 @@ def test_what_the_service_would_refuse_it_refuses(client, ask, message):
 def test_its_model_can_be_looked_at(client):
     connected = client(FakeService())
     [entry] = connected.models()
-    assert entry == connected.model(entry.name).model_copy(update={}) or entry.name == "fake"
-    assert connected.model("fake", 1).versions == [1]
+    assert (entry.name, entry.status) == ("fake", "ready")
+    assert connected.model("fake") == connected.model("fake", 1)
+    assert connected.model("fake").versions == [1]
     assert connected.health().status == "ready"
 
 
