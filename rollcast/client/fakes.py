@@ -48,30 +48,33 @@ class RefusalError(Exception):
         self.problem = problem
 
 
-def parts(body: bytes, boundary: str) -> tuple[dict[str, str], list[bytes]]:
-    """Take a form apart: its fields, and its files in order."""
+def parts(body: bytes, boundary: str) -> tuple[dict[str, str], list[bytes], bytes | None]:
+    """Take a form apart: its fields, its frames in order, and its final frame."""
     fields: dict[str, str] = {}
-    files: list[bytes] = []
+    frames: list[bytes] = []
+    final_frame: bytes | None = None
     for part in body.split(f"--{boundary}".encode())[1:-1]:
         head, _, content = part.removeprefix(b"\r\n").partition(b"\r\n\r\n")
         content = content.removesuffix(b"\r\n")
-        if b"filename=" in head:
-            files.append(content)
+        name = head.partition(b'name="')[2].partition(b'"')[0].decode()
+        if name == "frames":
+            frames.append(content)
+        elif name == "final_frame":
+            final_frame = content
         else:
-            fields[head.partition(b'name="')[2].partition(b'"')[0].decode()] = content.decode()
-    return fields, files
+            fields[name] = content.decode()
+    return fields, frames, final_frame
 
 
-def typed(fields: Mapping[str, Any], frames: Sequence[bytes]) -> dict[str, Any]:
+def typed(
+    fields: Mapping[str, Any], frames: Sequence[bytes], final_frame: bytes | None
+) -> dict[str, Any]:
     """Return a request's body as the schema has it: a form tells its numbers as text."""
     if not frames:
         return dict(fields)
     numbers = {"horizon": int, "objects": int, "final_step": int, "frame_rate": float}
     values = {name: numbers.get(name, str)(value) for name, value in fields.items()}
-    images: dict[str, Any] = {"frames": list(frames[:OBSERVED_FRAMES])}
-    if len(frames) > OBSERVED_FRAMES:
-        images["final_frame"] = frames[OBSERVED_FRAMES]
-    return values | images
+    return {**values, "frames": list(frames), "final_frame": final_frame}
 
 
 def forecast(

@@ -8,6 +8,7 @@ from PIL import Image
 
 from rollcast.client.images import Crop, Frames, pixels
 from rollcast.plot import draw_forecast, draw_truth
+from rollcast.trajectory import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
     from rollcast.client.results import Forecast, Simulation
@@ -21,14 +22,16 @@ def forecast(
     panels: int,
 ) -> Image.Image:
     """Draw a forecast as ``Forecast.plot`` describes."""
-    pictures = [pixels(frame, crop) for frame in frames]
     if times_s is None:
-        times_s = [index / forecast.frame_rate for index in range(len(pictures))]
-    if len(times_s) != len(pictures) or not pictures or times_s[0] != 0:
+        times_s = [index / forecast.frame_rate for index in range(len(frames))]
+    if len(times_s) != len(frames) or [0, *sorted(times_s)[1:]] != list(times_s):
         raise ValueError(
-            f"{len(pictures)} frames and {len(times_s)} times, expected as many, of which the "
-            "first is 0: the last observed frame"
+            f"{len(frames)} frames at {list(times_s)} s, expected as many times, ascending from 0: "
+            "the last observed frame"
         )
+    end_s = forecast.times_s[-1] + 0.5 / FRAME_RATE_HZ
+    shown = _spread(sum(time_s <= end_s for time_s in times_s), panels)
+    pictures = [pixels(frames[index], crop) for index in shown]
     for picture in pictures:
         height, width = picture.shape[:2]
         if (width, height) != tuple(forecast.frame_size):
@@ -36,11 +39,7 @@ def forecast(
                 f"a frame is {width} x {height}, the forecast is of frames of "
                 f"{forecast.frame_size[0]} x {forecast.frame_size[1]}"
             )
-    end_s = forecast.times_s[-1] + 0.5 / forecast.frame_rate
-    shown = _spread(sum(time_s <= end_s for time_s in times_s), panels)
-    return draw_forecast(
-        np.stack([pictures[index] for index in shown]), np.array(times_s)[shown], forecast
-    )
+    return draw_forecast(np.stack(pictures), np.array(times_s)[shown], forecast)
 
 
 def simulation(simulation: "Simulation", panels: int) -> Image.Image:

@@ -42,7 +42,9 @@ class Asked:
     fields: Mapping[str, Any]
     """Of the JSON body, or the form's fields as text."""
     frames: Sequence[bytes] = ()
-    """The image files, the final frame last."""
+    """The image files of the observed frames."""
+    final_frame: bytes | None = None
+    """The image file of a later one."""
 
 
 class FakeService(httpx2.MockTransport):
@@ -103,7 +105,8 @@ class FakeService(httpx2.MockTransport):
     def _served(self, asked: Asked) -> httpx2.Response:
         match asked.method, asked.path.strip("/").split("/"):
             case "POST", ["predict", *stream] if stream in ([], ["stream"]):
-                wish = PredictRequest.model_validate(fakes.typed(asked.fields, asked.frames))
+                body = fakes.typed(asked.fields, asked.frames, asked.final_frame)
+                wish = PredictRequest.model_validate(body)
                 forecast = fakes.forecast(wish, self._positions, self._variance_px2)
                 if not stream:
                     return _json(forecast)

@@ -71,7 +71,7 @@ def test_every_sequence_may_have_its_final_frame(client):
         SEQUENCES[:2], final_frames=[frames[0] for frames in SEQUENCES[:2]]
     )
     assert all(forecast.final_positions is not None for forecast in forecasts)
-    assert [len(asked.frames) for asked in service.asked] == [5, 5]
+    assert all(asked.final_frame in asked.frames for asked in service.asked)
 
 
 def test_the_first_that_fails_ends_them_all(client):

@@ -94,17 +94,21 @@ def test_frames_may_be_images_cropped_and_at_their_own_times(forecast, scene):
     # What is later than the forecast is left out.
     late = forecast.plot(scene.frames[3:5], times_s=[0, 5.0])
     assert late.size == (OVERVIEW_PX, OVERVIEW_PX)
+    with Client(transport=FakeService()) as client:
+        slow = client.predict(scene.frames[:4], objects=2, frame_rate=10, horizon=2)
+    assert slow.plot(scene.frames[3:6]).size == (OVERVIEW_PX + PANEL_PX, OVERVIEW_PX)
 
 
 @pytest.mark.parametrize(
     ("frames", "times_s", "message"),
     [
         (np.zeros((1, 32, 32, 3), np.uint8), None, "a frame is 32 x 32, the forecast is of frames"),
-        (np.zeros((2, SIDE, SIDE, 3), np.uint8), [0], "2 frames and 1 times"),
-        (np.zeros((1, SIDE, SIDE, 3), np.uint8), [0.5], "the first is 0"),
+        (np.zeros((2, SIDE, SIDE, 3), np.uint8), [0], r"2 frames at \[0\] s"),
+        (np.zeros((1, SIDE, SIDE, 3), np.uint8), [0.5], "ascending from 0"),
+        (np.zeros((3, SIDE, SIDE, 3), np.uint8), [0, 0.5, 0.1], "ascending from 0"),
         ([], None, "0 frames"),
     ],
-    ids=["size", "too few times", "no start", "no frame"],
+    ids=["size", "too few times", "no start", "not in order", "no frame"],
 )
 def test_what_cannot_be_drawn(forecast, frames, times_s, message):
     with pytest.raises(ValueError, match=message):

@@ -69,7 +69,8 @@ def test_it_keeps_what_it_was_asked(client):
     connected.simulate("hemisphere", seed=9)
     first, second = service.asked
     assert (first.method, first.path, first.fields["horizon"]) == ("POST", "/predict", "5")
-    assert len(first.frames) == 5
+    assert len(first.frames) == 4
+    assert first.final_frame == first.frames[0]
     assert first.frames[0].startswith(b"\x89PNG")
     assert (second.path, second.fields["seed"]) == ("/simulate", 9)
 
@@ -78,7 +79,7 @@ def test_it_keeps_what_it_was_asked(client):
     ("ask", "message"),
     [
         (lambda client: client.predict(FRAMES, horizon=0), "horizon"),
-        (lambda client: client.predict(FRAMES[:3]), "frames"),
+        (lambda client: client.predict(FRAMES[:3], final_frame=FRAMES[0]), "frames"),
         (lambda client: client.predict(FRAMES[:, 10:]), "square"),
         (lambda client: client.simulate("box", seed=1), "scenario"),
         (lambda client: client.simulate("hemisphere"), "seed"),

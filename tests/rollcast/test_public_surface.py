@@ -294,6 +294,7 @@ class Asked(
         path: str,
         fields: Mapping[str, Any],
         frames: Sequence[bytes] = (),
+        final_frame: bytes | None = None,
     ) -> None
 class FakeService(
         positions: Union[ArrayLike, NoneType] = None,
