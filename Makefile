@@ -36,12 +36,13 @@ define step
 	@printf -- '--- %s\n' '$(1)'; $(2) || { printf 'rollcast: FAILED: %s\n' '$(1)' >&2; exit 1; }
 endef
 
-.PHONY: help serve test bench image-test cluster-test scaling format lint environments lock clean
+.PHONY: help serve test docs bench image-test cluster-test scaling format lint environments lock clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make serve    serve the committed models on http://127.0.0.1:8000 (PORT=... picks another port)'
 	@echo 'make test     run every check and test'
+	@echo 'make docs     build the documents into build/docs, check every link, execute the notebook'
 	@echo 'make bench    measure the service beside the bare loop; on a machine that does nothing else'
 	@echo 'make image-test  build the images and try them; needs root, debootstrap, buildah and podman'
 	@echo 'make cluster-test  try the service on Ray: replicas and nodes are killed under load'
@@ -61,6 +62,14 @@ test: environments lint
 	$(call step,tests without torch,.venv/service-test/bin/python -m pytest $(or $(TORCH_FREE_TESTS),tests/service) $(PYTEST_ARGS))
 	$(call step,clients of the protocol,.venv/protocol/bin/python -m pytest $(PROTOCOL_TESTS) $(PYTEST_ARGS))
 	@echo 'rollcast: every check and test passed'
+
+docs:
+	@tools/environment.sh service
+	@tools/environment.sh docs
+	$(call step,site,.venv/docs/bin/python -m sphinx --quiet --fail-on-warning --keep-going -d build/doctrees docs build/docs)
+	$(call step,links,.venv/docs/bin/lychee --offline --include-fragments=full --no-progress 'build/docs/**/*.html')
+	$(call step,notebook,.venv/docs/bin/python -m docs.notebook --check)
+	@echo 'rollcast: build/docs/index.html'
 
 bench:
 	@tools/environment.sh service
@@ -123,7 +132,7 @@ lock:
 		--output-file requirements/cluster.txt
 	$(UV_COMPILE) --extra bench --constraint requirements/test.txt \
 		--output-file requirements/bench.txt
-	$(foreach name,protocol browser image $(PEERS),$(UV_COMPILE:pyproject.toml=) \
+	$(foreach name,protocol browser docs image $(PEERS),$(UV_COMPILE:pyproject.toml=) \
 		--group pyproject.toml:$(name) --output-file requirements/$(name).txt &&) true
 
 clean:

@@ -1,0 +1,443 @@
+"""``python -m docs.pictures``: the guide's pictures, from the simulator and the committed models.
+
+Needs the environment of the tests (`.venv/test`). Every picture is written to ``docs/images``.
+"""
+
+import argparse
+import io
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Ellipse, FancyArrowPatch, FancyBboxPatch
+from PIL import Image
+
+from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
+from rollcast.plot import PALETTE, SIGMAS
+from rollcast.scene import SCENARIOS, Scenario, Scene
+from rollcast.simulation import Sequence, Simulator
+from rollcast.simulation.physics import Material, World
+from rollcast.surfaces import Contact, EllipsoidalBowl, Heightfield
+from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
+from service.loading import load_registry
+from service.registry import Wish
+from service.rollout import Predictor, assemble, roll_out
+from training.ground import resting_ground
+
+ROOT = Path(__file__).resolve().parents[1]
+IMAGES = ROOT / "docs/images"
+ORANGE, BLUE, PURPLE, YELLOW, GREEN = PALETTE
+INK, GREY, PALE = "#222222", "#777777", "#dddddd"
+RADIUS_M = 0.225
+STEPS = 40
+_STYLE: dict[Any, Any] = {
+    "figure.dpi": 110,
+    "savefig.dpi": 100,
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+}
+
+
+def main() -> None:
+    """Draw the pictures that are named, or all of them."""
+    parser = argparse.ArgumentParser(prog="python -m docs.pictures", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(PICTURES)}")
+    names = parser.parse_args().names or list(PICTURES)
+    if unknown := sorted(set(names) - PICTURES.keys()):
+        parser.error(f"no such pictures: {', '.join(unknown)}")
+    for name in names:
+        with mpl.rc_context(_STYLE):
+            path = IMAGES / f"{name}.png"
+            _write(PICTURES[name](), path)
+        print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1e3:.0f} kB")
+
+
+def scenarios() -> Figure:
+    """Draw each scenario from above, with the way that its balls take in the next second."""
+    figure = Figure(figsize=(7.4, 2.75), layout="constrained")
+    shown = [("hemisphere", 1, 14), ("ellipsoid", 3, 4), ("heightfield", 1, 22)]
+    for axes, (scenario, objects, seed) in zip(figure.subplots(1, 3), shown, strict=True):
+        scene = _sequence(scenario, objects, seed)
+        _show(axes, scene.render(384)[OBSERVED_FRAMES - 1])
+        for ball, way in enumerate(_pixels(scene, 384)):
+            colour = "white" if objects == 1 else PALETTE[ball]
+            ahead = way[OBSERVED_FRAMES - 1 :]
+            axes.plot(*ahead.T, color="black", linewidth=3.2, alpha=0.6)
+            axes.plot(*ahead.T, color=colour, linewidth=1.6)
+            axes.plot(*ahead[10::10].T, "o", color=colour, markersize=4, markeredgecolor="black")
+        balls = "1 ball" if objects == 1 else f"{objects} balls"
+        axes.set_title(f"{scenario}, {balls}")
+    return figure
+
+
+def conventions() -> Figure:
+    """Draw a frame with the image's and the world's axes, and the time line under it."""
+    figure = Figure(figsize=(8.4, 3.5), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.35))
+    scene = _sequence("hemisphere", 1, 12)
+    _show(left, scene.render(128)[OBSERVED_FRAMES - 1])
+    place = _pixels(scene, 128)[0, OBSERVED_FRAMES - 1]
+    outlined = [patheffects.withStroke(linewidth=3, foreground="black")]
+    left.set_title("a frame of 128 x 128 pixels", pad=16)
+    arrow = {"arrowstyle": "-|>", "mutation_scale": 13, "linewidth": 2, "clip_on": False}
+    for (x, y), name in (((34, 0), "x, pixels"), ((0, 34), "y, pixels")):
+        left.add_patch(FancyArrowPatch((0, 0), (x, y), color=ORANGE, **arrow))
+        at = (x + 3, 3) if x else (2, y + 6)
+        left.text(*at, name, color=ORANGE, weight="bold", va="center", path_effects=outlined)
+    for (x, y), name in (((94, 64), "world x"), ((64, 34), "world y")):
+        left.add_patch(FancyArrowPatch((64, 64), (x, y), color=BLUE, **arrow))
+        at = (x + 2, y + 8) if x > 64 else (x + 4, y + 2)
+        left.text(*at, name, color=BLUE, weight="bold", va="center", path_effects=outlined)
+    left.plot(*place, "o", color="white", markersize=6, markeredgecolor="black")
+    left.annotate(
+        f"({place[0]:.1f}, {place[1]:.1f})", tuple(place), (10, -10), color="white",
+        textcoords="offset points", weight="bold", path_effects=outlined,
+    )  # fmt: skip
+    right.set(xlim=(-3.8, 9.4), ylim=(-2.4, 2.2))
+    right.axis("off")
+    right.plot([-3.4, 9], [0, 0], color=GREY, linewidth=1)
+    for step in range(-3, 9):
+        seen = step <= 0
+        right.plot(step, 0, "s" if seen else "o", color=ORANGE if seen else BLUE, markersize=9)
+        right.text(step, -0.42, str(step), ha="center", va="top")
+    right.text(-4.0, -0.42, "t =", ha="right", va="top")
+    right.text(-1.5, 0.5, "four frames seen", color=ORANGE, ha="center", weight="bold")
+    right.annotate("", (-3.2, 0.4), (0.2, 0.4), arrowprops={"arrowstyle": "-", "color": ORANGE})
+    right.text(4.6, 1.25, "forecast of horizon T: t = 0 .. T-1", color=BLUE, ha="center",
+               weight="bold")  # fmt: skip
+    right.annotate("", (-0.2, 1.15), (8.9, 1.15), arrowprops={"arrowstyle": "<-", "color": BLUE})
+    right.text(
+        2.6, -1.55,
+        "positions[ball, t]: pixels of the frames that were sent\n"
+        "times_s[t] = t / frame rate: t = 0 is the last frame seen",
+        ha="center", va="center",
+    )  # fmt: skip
+    right.set_title("steps, 40 a second")
+    return figure
+
+
+def contact() -> Figure:
+    """Draw the planes that follow a ball, in a cut through a bowl and one through a heightfield."""
+    figure = Figure(figsize=(8.4, 2.5), layout="constrained")
+    bowl_axes, field_axes = figure.subplots(1, 2)
+    x = np.linspace(-1, 1, 400)
+    bowl = EllipsoidalBowl(1.0, 0.0)
+    _cut(bowl_axes, x, bowl.height_and_normal(x, 0 * x)[0])
+    way = 1 - RADIUS_M
+    for degrees, strength in ((-52, 0.3), (-30, 0.55), (-8, 1.0)):
+        angle = math.radians(degrees)
+        centre = (way * math.sin(angle), 0.0, 1 - way * math.cos(angle))
+        _ball_on_planes(bowl_axes, centre, bowl.contacts(centre, RADIUS_M), strength)
+    bowl_axes.set(xlim=(-1.06, 1.06), ylim=(-0.08, 1.014), title="in a bowl: one plane")
+    field, centre, angle = _tight_place()
+    along = np.linspace(-0.7, 0.7, 500)
+    x, y = centre[0] + along * math.cos(angle), centre[1] + along * math.sin(angle)
+    _cut(field_axes, along, field.height_and_normal(x, y)[0] - centre[2])
+    near = [
+        Contact(*(_in_cut(part, angle) for part in (np.subtract(one.point, centre), one.normal)))
+        for one in field.contacts(centre, RADIUS_M)
+    ]
+    _ball_on_planes(field_axes, (0.0, 0.0, 0.0), near, 1.0)
+    field_axes.set(
+        xlim=(-0.62, 0.62), ylim=(-0.325, 0.315),
+        title="on tight ground: one for every near point",
+    )  # fmt: skip
+    for axes in (bowl_axes, field_axes):
+        axes.set_aspect("equal")
+        axes.axis("off")
+    return figure
+
+
+def energy() -> Figure:
+    """Draw the height that a ball loses where nothing brakes, for smaller and smaller steps."""
+    figure = Figure(figsize=(5.2, 3.2), layout="constrained")
+    axes = figure.subplots()
+    rates = np.array([4, 6, 9, 14, 20, 30])
+    for degrees, colour in ((40, BLUE), (25, ORANGE)):
+        lost = [100 * _lost_in_four_swings(degrees, int(rate)) for rate in rates]
+        label = f"ball let go {degrees}° from the bottom"
+        axes.plot(rates * FRAME_RATE_HZ, lost, "o-", color=colour, label=label)
+        print(dict(zip((rates * FRAME_RATE_HZ).tolist(), np.round(lost, 4), strict=True)))
+    axes.axvline(360, color=PALE, zorder=0)
+    axes.text(372, axes.get_ylim()[1], "360 Hz, as simulated", color=GREY, va="top")
+    axes.set(
+        xscale="log", yscale="log", xlabel="steps a second",
+        ylabel="height lost in four swings, %", xticks=rates * FRAME_RATE_HZ,
+    )  # fmt: skip
+    axes.xaxis.set_major_formatter("{x:.0f}")
+    axes.xaxis.set_minor_locator(mpl.ticker.NullLocator())
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.legend(frameon=False, loc="lower left")
+    return figure
+
+
+def ground() -> Figure:
+    """Draw the map that FieldNet's eye draws of the ground beside the true one."""
+    predictor = _predictor(Wish("fieldnet"))
+    figure = Figure(figsize=(8.4, 4.9), layout="constrained")
+    rows = figure.subplots(2, 3)
+    for row, (scenario, seed) in zip(rows, (("ellipsoid", 3), ("heightfield", 28)), strict=True):
+        scene = _sequence(scenario, 1, seed)
+        frames = scene.render(NETWORK_FRAME_SIZE)
+        half_cm = 100 * camera_for(scenario, NETWORK_FRAME_SIZE).half_width_m
+        true = half_cm * resting_ground(scene.scene)[2]
+        state = predictor.encode(frames[None, :OBSERVED_FRAMES]).state
+        read = np.where(np.isnan(true), np.nan, half_cm * state["s"][0, 2])
+        _show(row[0], frames[OBSERVED_FRAMES - 1])
+        low, high = np.nanmin(true), np.nanmax(true)
+        for axes, values in ((row[1], true), (row[2], read)):
+            drawn = axes.imshow(values, cmap="cividis", vmin=low, vmax=high)
+            axes.set(xticks=[], yticks=[])
+            axes.set_facecolor(PALE)
+            axes.spines[:].set_visible(False)
+        figure.colorbar(drawn, ax=list(row[1:]), label="height, cm", shrink=0.9)
+        off = np.nanmean(np.abs(read - true))
+        row[2].set_xlabel(f"off by {off:.1f} cm on average")
+        row[0].set_ylabel(scenario)
+    for axes, name in zip(
+        rows[0], ("last frame seen", "true ground", "as the eye read it"), strict=True
+    ):
+        axes.set_title(name)
+    return figure
+
+
+def uncertainty() -> Figure:
+    """Draw forecasts of "auto" with their ellipses over the last seen frame, and the truth."""
+    predictor = _predictor(Wish())
+    figure = Figure(figsize=(8.0, 2.75), layout="constrained")
+    shown = [("hemisphere", 16), ("ellipsoid", 3), ("heightfield", 15), ("heightfield", 35)]
+    for axes, (scenario, seed) in zip(figure.subplots(1, 4), shown, strict=True):
+        scene = _sequence(scenario, 1, seed)
+        frames = scene.render(NETWORK_FRAME_SIZE)[:OBSERVED_FRAMES]
+        forecast = assemble(roll_out(predictor, frames[None], STEPS), predictor.manifest.covariance)
+        truth = _pixels(scene, NETWORK_FRAME_SIZE)[0, OBSERVED_FRAMES - 1 :]
+        way, covariances = forecast.positions[0, 0], forecast.covariances[0, 0]
+        _show(axes, frames[-1])
+        for step in range(4, STEPS, 5):
+            axes.add_patch(_ellipse(way[step], covariances[step], BLUE))
+        axes.plot(*truth.T, color="white", linewidth=2.4)
+        axes.plot(*way.T, color=BLUE, linewidth=1.5)
+        axes.plot(*truth[-1], "o", color="white", markersize=6, markeredgecolor="black")
+        axes.plot(*way[-1], "X", color=BLUE, markersize=7, markeredgecolor="black")
+        off = math.dist(way[-1], truth[-1])
+        axes.set_title(scenario)
+        axes.set_xlabel(f"off by {off:.1f} px at T = {STEPS}")
+    figure.supxlabel(
+        f"white: truth, blue: {predictor.manifest.label} with ellipses of two standard deviations "
+        "every eighth of a second", fontsize=9,
+    )  # fmt: skip
+    return figure
+
+
+def step() -> Figure:
+    """Draw the way of one forecast through the networks: encoder, step, read-outs."""
+    figure = Figure(figsize=(8.4, 3.5), layout="constrained")
+    axes = figure.subplots()
+    axes.set(xlim=(0, 16.8), ylim=(0, 7))
+    axes.set_aspect("equal")
+    axes.axis("off")
+    frames = _sequence("hemisphere", 1, 12).render(128)[:OBSERVED_FRAMES]
+    for index, frame in enumerate(frames):
+        x, y = 0.2 + 0.3 * index, 3.1 - 0.25 * index
+        axes.imshow(frame, extent=(x, x + 1.7, y, y + 1.7), zorder=2 + index)
+    axes.text(1.5, 5.35, "4 frames\nt = -3 .. 0", ha="center", va="center")
+    axes.set(xlim=(0, 16.8), ylim=(0, 7))
+    _box(axes, 3.7, 2.7, 2.1, 1.6, "encoder", ORANGE)
+    states = (7.0, 10.6, 14.2)
+    for index, x in enumerate(states):
+        name = ("$h_0$", "$h_1$", "$h_2$")[index]
+        _box(axes, x, 2.7, 1.4, 1.6, f"{name}", BLUE, size=13)
+        _box(axes, x - 0.15, 5.0, 1.7, 0.9, "read-out", GREEN)
+        _arrow(axes, (x + 0.7, 4.3), (x + 0.7, 5.0))
+        axes.text(x + 0.7, 6.35, ("$y_0$", "$y_1$", "$y_2$")[index], ha="center", va="center",
+                  size=13)  # fmt: skip
+    _arrow(axes, (2.9, 3.5), (3.7, 3.5))
+    _arrow(axes, (5.8, 3.5), (7.0, 3.5))
+    for left, right in zip(states, (*states[1:], 17.2), strict=True):
+        middle = (left + 1.4 + min(right, 16.6)) / 2
+        if right < 17:
+            _box(axes, middle - 0.75, 3.05, 1.5, 0.9, "step", PURPLE)
+            _arrow(axes, (left + 1.4, 3.5), (middle - 0.75, 3.5))
+            _arrow(axes, (middle + 0.75, 3.5), (right, 3.5))
+    _arrow(axes, (15.6, 3.5), (16.5, 3.5))
+    axes.text(
+        7.0, 1.55,
+        "$h_t = (s_t, p_t)$: what is known of every place, and of every ball's motion",
+        va="center",
+    )  # fmt: skip
+    axes.text(
+        7.0, 0.75,
+        "$y_t$: position, covariance, angular velocity of every ball at step t",
+        va="center",
+    )  # fmt: skip
+    return figure
+
+
+PICTURES: Mapping[str, Callable[[], Figure]] = {
+    "scenarios": scenarios,
+    "conventions": conventions,
+    "contact": contact,
+    "energy": energy,
+    "ground": ground,
+    "uncertainty": uncertainty,
+    "step": step,
+}
+
+
+def _write(figure: Figure, path: Path) -> None:
+    """Write a picture as small as it gets without loss."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    with Image.open(buffer) as drawn:
+        drawn.convert("RGB").save(path, optimize=True)
+
+
+def _sequence(scenario: Scenario, objects: int, seed: int) -> Sequence:
+    """Return the seen frames of a scene and the second after them."""
+    assert scenario in SCENARIOS
+    simulator = Simulator()
+    try:
+        return simulator.sequence(scenario, objects, seed, OBSERVED_FRAMES - 1 + STEPS)
+    finally:
+        simulator.close()
+
+
+def _pixels(sequence: Sequence, image_size: int) -> np.ndarray:
+    """Return positions [objects, frames, 2] in a frame."""
+    camera = camera_for(sequence.scene.scenario, image_size)
+    return camera.project(sequence.trajectory.positions_m).transpose(1, 0, 2)
+
+
+def _predictor(wish: Wish) -> Predictor:
+    return load_registry(ROOT / "models", "fieldnet").choose(wish)
+
+
+def _show(axes: Axes, frame: np.ndarray) -> None:
+    size = len(frame)
+    axes.imshow(frame, extent=(0, size, size, 0), interpolation="bicubic")
+    axes.set(xlim=(0, size), ylim=(size, 0), xticks=[], yticks=[])
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def _in_cut(vector: Any, angle: float) -> tuple[float, float, float]:  # noqa: ANN401
+    """Return a vector in axes whose x points along the cut."""
+    x, y, z = map(float, vector)
+    turned = x * math.cos(angle) + y * math.sin(angle), y * math.cos(angle) - x * math.sin(angle)
+    return *turned, z
+
+
+def _cut(axes: Axes, x: np.ndarray, height: np.ndarray) -> None:
+    axes.fill_between(x, height, -1, color="#e8e2d6", linewidth=0)
+    axes.plot(x, height, color=INK, linewidth=1.6)
+
+
+def _ball_on_planes(axes: Axes, centre: Any, contacts: Any, strength: float) -> None:  # noqa: ANN401
+    """Draw a ball, its planes and their normals in the plane of x and z."""
+    x, _, z = centre
+    axes.add_patch(Circle((x, z), RADIUS_M, facecolor="white", edgecolor=INK, alpha=strength))
+    axes.plot(x, z, "o", color=INK, markersize=3, alpha=strength)
+    for point, normal in contacts:
+        (px, _, pz), (nx, _, nz) = point, normal
+        along = 0.3 * np.array([[-nz, nx], [nz, -nx]]) + (px, pz)
+        axes.plot(*along.T, color=ORANGE, linewidth=2.5, alpha=strength, solid_capstyle="round")
+        axes.plot(px, pz, "o", color=ORANGE, markersize=5, alpha=strength)
+        axes.add_patch(
+            FancyArrowPatch(
+                (px, pz), (px + 0.16 * nx, pz + 0.16 * nz), color=BLUE, arrowstyle="-|>",
+                mutation_scale=10, linewidth=1.5, shrinkA=0, shrinkB=0, alpha=strength,
+            )
+        )  # fmt: skip
+
+
+def _tight_place() -> tuple[Heightfield, tuple[float, float, float], float]:
+    """Return a heightfield, a resting place with two contacts, and the direction of the cut."""
+    best = None
+    for offset in np.arange(-1.5, 1.5, 0.5).tolist():
+        field = Heightfield(0.25, (offset, 0.37), 0.0)
+        for x, y in np.mgrid[-0.8:0.8:0.05, -0.8:0.8:0.05].reshape(2, -1).T.tolist():
+            centre = (x, y, field.resting_height(x, y, RADIUS_M))
+            near = field.contacts(centre, RADIUS_M)
+            if len(near) != 2 or math.dist(near[1].point, centre) > RADIUS_M + 4e-3:
+                continue
+            one, other = (np.array(contact.point[:2]) - (x, y) for contact in near)
+            direction = (other - one) / np.linalg.norm(other - one)
+            aside = abs(one[0] * direction[1] - one[1] * direction[0])
+            balance = abs(np.linalg.norm(one) - np.linalg.norm(other))
+            if best is None or aside + balance < best[0]:
+                angle = math.atan2(direction[1], direction[0])
+                best = (aside + balance, field, centre, angle)
+    assert best is not None
+    return best[1:]
+
+
+def _lost_in_four_swings(degrees: float, steps_per_frame: int) -> float:
+    """Return the share of its height that a ball loses in four swings without resistance."""
+    bowl = EllipsoidalBowl(1.0, 0.0)
+    place = bowl.point_at(math.pi - math.radians(degrees), 0.3)
+    centre = np.asarray(place.point) + RADIUS_M * np.asarray(place.normal)
+    scene = Scene.model_validate(
+        {
+            "scenario": "hemisphere", "seed": 0, "textured": False, "radius_m": RADIUS_M,
+            "rotation_rad": 0.0, "axis_ratio": 1.0, "positions_m": (tuple(centre.tolist()),),
+            "velocities_m_s": ((0.0, 0.0, 0.0),), "orientations_xyzw": ((0.0, 0.0, 0.0, 1.0),),
+        }
+    )  # fmt: skip
+    world = World(Material(rolling_resistance=0, damping=0), steps_per_frame)
+    world.load(scene)
+    heights = []
+    for _ in range(400):
+        world.step_frame()
+        heights.append(world.state().centres[0][2] - RADIUS_M)
+    world.close()
+    z = np.array(heights)
+    tops = np.flatnonzero((z[1:-1] > z[:-2]) & (z[1:-1] >= z[2:])) + 1
+    slope, bend = (z[tops + 1] - z[tops - 1]) / 2, z[tops + 1] - 2 * z[tops] + z[tops - 1]
+    exact = z[tops] - slope**2 / (2 * bend)
+    return float((exact[0] - exact[8]) / exact[0])
+
+
+def _ellipse(centre: np.ndarray, covariance: np.ndarray, colour: str) -> Ellipse:
+    variances, axes = np.linalg.eigh(covariance)
+    width, height = 2 * SIGMAS * np.sqrt(variances)
+    angle = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0])))
+    return Ellipse(
+        (float(centre[0]), float(centre[1])), float(width), float(height), angle=angle,
+        facecolor=f"{colour}40", edgecolor=colour, linewidth=1,
+    )  # fmt: skip
+
+
+def _box(
+    axes: Axes, x: float, y: float, width: float, height: float, text: str, colour: str,
+    size: float = 10.5,
+) -> None:  # fmt: skip
+    axes.add_patch(
+        FancyBboxPatch(
+            (x, y), width, height, boxstyle="round,pad=0,rounding_size=0.18",
+            facecolor=f"{colour}33", edgecolor=colour, linewidth=1.6,
+        )
+    )  # fmt: skip
+    axes.text(x + width / 2, y + height / 2, text, ha="center", va="center", size=size)
+
+
+def _arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
+    axes.add_patch(
+        FancyArrowPatch(
+            start, end, arrowstyle="-|>", mutation_scale=12, color=INK, linewidth=1.2,
+            shrinkA=1, shrinkB=1,
+        )
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
