@@ -20,7 +20,15 @@ from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
 from rollcast.errors import FootageError
-from rollcast.footage import Footage, SquareCrop, cut_out
+from rollcast.footage import (
+    RATE_TOLERANCE,
+    SNAP,
+    Footage,
+    Moment,
+    SquareCrop,
+    between,
+    from_moments,
+)
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 
 LOOK_AHEAD = 8
@@ -29,7 +37,7 @@ TIME_TOLERANCE_S = 0.5 / FRAME_RATE_HZ
 """How long after a video's last frame a time still counts as shown by it: half a step."""
 
 
-class _Moment(NamedTuple):
+class _Shown(NamedTuple):
     time_s: float
     picture: VideoFrame
     pixel_aspect: float
@@ -46,9 +54,10 @@ def read_frames(
 ) -> Footage:
     """Read frames that follow each other evenly, from the frame nearest to a start.
 
-    A video's frames cannot be moved: of every m-th frame the m is taken whose rate comes nearest
-    to the one asked for, and the answer's ``frame_rate`` tells the truth (a 30-fps clip gives its
-    consecutive frames, a 120-fps clip every third). No frame comes twice.
+    Of a camera whose rate is a multiple of the one asked for, to RATE_TOLERANCE, every m-th frame
+    is taken, and the answer's ``frame_rate`` tells the truth. Where the camera took no frame
+    (another or a varying rate), one is blended from those before and after; the answer's
+    ``blended_over_s`` tells how far apart these are.
 
     Parameters
     ----------
@@ -79,13 +88,28 @@ def read_frames(
             head.pop(0)
         spacing_s = _spacing([moment.time_s for moment in head], frame_rate)
         wanted = [head[0].time_s + index * spacing_s for index in range(frames)]
-        taken = list(_nearest(chain(head, moments), wanted))
+        taken = list(_between(chain(head, moments), wanted, SNAP * spacing_s))
         if len(taken) < frames:
             raise FootageError(
-                f"{path} ends at {taken[-1].time_s:.3f} s; {frames} frames from {start_s:g} s "
-                "do not fit"
+                f"{path} ends before {wanted[-1]:.3f} s; {frames} frames from {start_s:g} s do not "
+                "fit"
             )
-        return _footage(taken, crop)
+        return from_moments(taken, crop)
+
+
+def camera_rate(path: Path | str, start_s: float = 0.0) -> float:
+    """Return how many frames a second a video has near a time.
+
+    Raises
+    ------
+    FootageError
+        When the file cannot be read as a video, or has no two frames there.
+    """
+    with _opened(path) as container:
+        head = list(islice(_moments_from(container, path, start_s), 2 + LOOK_AHEAD))
+    if len(head) < 2:
+        raise FootageError(f"{path} has one frame from {start_s:g} s on")
+    return 1 / _distance([moment.time_s for moment in head])
 
 
 def frames_at(
@@ -115,7 +139,8 @@ def frames_at(
         taken = list(_nearest(moments, times_s))
         if not taken:
             raise FootageError(f"{path} ends before {times_s[0]:.3f} s")
-        return _footage(taken, crop)
+        shown = [Moment(_pixels(moment), moment.time_s) for moment in taken]
+        return from_moments(shown, crop)
 
 
 @contextmanager
@@ -130,7 +155,7 @@ def _opened(path: Path | str) -> Generator[InputContainer]:
         raise FootageError(f"{path} cannot be read as a video: {error.strerror}") from error
 
 
-def _moments_from(container: InputContainer, path: Path | str, start_s: float) -> Iterator[_Moment]:
+def _moments_from(container: InputContainer, path: Path | str, start_s: float) -> Iterator[_Shown]:
     """Decode from the last frame at or before a time, in the order of presentation."""
     if not math.isfinite(start_s) or start_s < 0:
         raise FootageError(f"the start is {start_s:g} s, expected 0 or later")
@@ -167,30 +192,50 @@ def _video_stream(container: InputContainer, path: Path | str) -> VideoStream:
     return container.streams.video[0]
 
 
-def _moments(container: InputContainer, stream: VideoStream, origin: int) -> Iterator[_Moment]:
+def _moments(container: InputContainer, stream: VideoStream, origin: int) -> Iterator[_Shown]:
     last_s = -math.inf
     for picture in container.decode(stream):
         if picture.pts is not None and picture.time_base is not None:
             time_s = float((picture.pts - origin) * picture.time_base)
             if time_s > last_s:
                 # Zero or nothing means that the file does not tell.
-                yield _Moment(time_s, picture, float(stream.sample_aspect_ratio or 1))
+                yield _Shown(time_s, picture, float(stream.sample_aspect_ratio or 1))
                 last_s = time_s
 
 
 def _spacing(times_s: Sequence[float], frame_rate: float) -> float:
-    """Return the multiple of the distance between frames whose rate is nearest to one asked for."""
+    """Return the time between the wanted frames: a multiple of the camera's if that comes near."""
     if len(times_s) < 2:
         return 1 / frame_rate
-    distance_s = float(np.median(np.diff(times_s)))
-    fewer = max(1, math.floor(1 / (frame_rate * distance_s)))
-    stride = min(
-        (fewer, fewer + 1), key=lambda stride: abs(math.log(stride * distance_s * frame_rate))
-    )
-    return stride * distance_s
+    distance_s = _distance(times_s)
+    spacing_s = max(1, round(1 / (frame_rate * distance_s))) * distance_s
+    is_near = abs(spacing_s * frame_rate - 1) <= RATE_TOLERANCE
+    return spacing_s if is_near else 1 / frame_rate
 
 
-def _nearest(moments: Iterable[_Moment], wanted_s: Sequence[float]) -> Iterator[_Moment]:
+def _distance(times_s: Sequence[float]) -> float:
+    """Return the time between frames where none is missing; containers round it."""
+    distances_s = np.diff(times_s)
+    return float(distances_s[distances_s < 1.5 * np.median(distances_s)].mean())
+
+
+def _between(
+    moments: Iterable[_Shown], wanted_s: Sequence[float], near_s: float
+) -> Iterator[Moment]:
+    """Yield a picture for each of some ascending times, blended where none is near (`between`)."""
+    moments = iter(moments)
+    before = next(moments, None)
+    after = next(moments, None)
+    for time_s in wanted_s:
+        while before is not None and after is not None and after.time_s < time_s:
+            before, after = after, next(moments, None)
+        if before is None or (after is None and time_s > before.time_s + near_s):
+            return
+        last = after or before
+        yield between(_pixels(before), before.time_s, _pixels(last), last.time_s, time_s, near_s)
+
+
+def _nearest(moments: Iterable[_Shown], wanted_s: Sequence[float]) -> Iterator[_Shown]:
     """Yield the frame nearest to each of some ascending times, none twice, until the video ends."""
     moments = iter(moments)
     following = next(moments, None)
@@ -207,12 +252,7 @@ def _nearest(moments: Iterable[_Moment], wanted_s: Sequence[float]) -> Iterator[
         yield best
 
 
-def _footage(moments: Sequence[_Moment], crop: SquareCrop | None) -> Footage:
-    pictures = [_pixels(moment) for moment in moments]
-    return cut_out(pictures, [moment.time_s for moment in moments], crop)
-
-
-def _pixels(moment: _Moment) -> UInt8[np.ndarray, "height width 3"]:
+def _pixels(moment: _Shown) -> UInt8[np.ndarray, "height width 3"]:
     """Picture with square pixels, turned as players show it."""
     picture = moment.picture
     shown = picture.reformat(width=round(picture.width * moment.pixel_aspect), format="rgb24")

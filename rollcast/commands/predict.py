@@ -26,8 +26,8 @@ from rollcast.commands.reading import read
 from rollcast.http import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON
 from rollcast.scene import MAX_OBJECTS, Scenario
 
-UNEVEN = 0.25
-"""Share by which a frame may come early or late without a warning."""
+LONG_BLEND_S = 0.05
+"""Between two frames in which a ball may have gone on too far for them to be faded."""
 
 HELP = """\
 Forecast the ball of a video or of images.
@@ -49,8 +49,8 @@ def predict(
         list[Path],
         typer.Argument(
             metavar="VIDEO|FOLDER|IMAGES",
-            help="a video, of which four frames as near as possible to 40 a second are read; or a "
-            "folder of images, or at least four images, 40 a second",
+            help="a video, of which four frames are read, 40 a second (blended where the camera "
+            "took none); or a folder of images, or at least four images",
             show_default=False,
         ),
     ],
@@ -99,7 +99,16 @@ def predict(
     if out is not None:
         draw(out, observed, later_frames, forecast, slower)
     warnings = list(forecast.warnings)
-    if observed.unevenness > UNEVEN:
-        warnings.insert(0, "the four frames are not evenly spaced; the footage lacks some there")
+    if observed.blended_over_s:
+        warnings.insert(0, _blended(observed.blended_over_s))
     text = forecast_text(observed, forecast, warnings, form)
     return Outcome(text, warnings if form == "csv" else ())
+
+
+def _blended(over_s: float) -> str:
+    """Warn that frames were made which the camera did not take."""
+    text = (
+        "the camera took no frames 40 a second apart: they are blended from those before and "
+        f"after, up to {1e3 * over_s:.0f} ms apart"
+    )
+    return text if over_s <= LONG_BLEND_S else f"{text}, which is long for a ball that rolls"

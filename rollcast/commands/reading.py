@@ -5,14 +5,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rollcast.commands.options import CommandError
-from rollcast.errors import MissingExtraError
-from rollcast.footage import Footage, SquareCrop, read_images
+from rollcast.errors import FootageError, MissingExtraError
+from rollcast.footage import RATE_TOLERANCE, Footage, SquareCrop, read_images
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 
 IMAGE_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
-FASTEST_HZ = 1e5
-"""More frames a second than any video has: what is read at this rate are all of its frames."""
-
 LaterFrames = Callable[[Sequence[float]], Footage]
 """Reads the frames nearest to some times of the footage, seconds; those after its end are left
 out."""
@@ -41,26 +38,24 @@ def read(
     if start_s is not None:
         raise CommandError("--start is for a video; of images the first four are observed")
     images = _images_in(paths[0]) if len(paths) == 1 else paths
-    return _read_images(images[::every], (rate or FRAME_RATE_HZ) / (every or 1), crop)
+    rate = (rate or FRAME_RATE_HZ) / (every or 1)
+    return _read_images(images[::every], rate, crop, as_they_are=every is not None)
 
 
 def _read_video(
     path: Path, start_s: float, every: int | None, crop: SquareCrop | None
 ) -> tuple[Footage, LaterFrames]:
     try:
-        from rollcast.video import frames_at, read_frames
+        from rollcast.video import camera_rate, frames_at, read_frames
     except ModuleNotFoundError as error:
         raise MissingExtraError("videos need", "PyAV", "video") from error
-    rate: float = FRAME_RATE_HZ
-    if every is not None:
-        all_of_them = read_frames(path, start_s=start_s, crop=crop, frame_rate=FASTEST_HZ)
-        rate = all_of_them.frame_rate / every
+    rate = FRAME_RATE_HZ if every is None else camera_rate(path, start_s) / every
     observed = read_frames(path, start_s=start_s, crop=crop, frame_rate=rate)
     return observed, lambda times_s: frames_at(path, times_s, crop=crop)
 
 
 def _read_images(
-    paths: Sequence[Path], rate: float, crop: SquareCrop | None
+    paths: Sequence[Path], rate: float, crop: SquareCrop | None, as_they_are: bool
 ) -> tuple[Footage, LaterFrames]:
     if len(paths) < OBSERVED_FRAMES:
         raise CommandError(
@@ -72,7 +67,18 @@ def _read_images(
         indices = [round(time_s * rate) for time_s in times_s]
         return footage.part([index for index in indices if index < len(paths)])
 
-    return footage.part(slice(OBSERVED_FRAMES)), later_frames
+    return _observed(footage, as_they_are), later_frames
+
+
+def _observed(footage: Footage, as_they_are: bool) -> Footage:
+    """Return four frames, as far apart as the models know them where the images allow it."""
+    first = footage.part(slice(OBSERVED_FRAMES))
+    if as_they_are or abs(first.frame_rate / FRAME_RATE_HZ - 1) <= RATE_TOLERANCE:
+        return first
+    try:
+        return footage.resampled(FRAME_RATE_HZ, OBSERVED_FRAMES)
+    except FootageError:  # of faster ones there are too few, and the service will say so
+        return first
 
 
 def _images_in(folder: Path) -> list[Path]:

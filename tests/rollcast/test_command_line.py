@@ -93,20 +93,24 @@ def write_images(folder, count):
 def test_a_video(run, service, video, tmp_path):
     out = tmp_path / "overlay.png"
     code, printed, errors = run(
-        video, "--start", 0.5, "--crop", "20,4,60", "--horizon", 31, "--model", "dot", "--out", out
+        video, "--start", 0.5, "--crop", "20,4,60", "--horizon", 41, "--model", "dot", "--out", out
     )
     assert (code, errors) == (0, "")
     lines = printed.splitlines()
-    assert lines[0] == "dot@3: four frames from 0.500 s to 0.600 s (30 a second), crop 20,4,60"
-    assert [line.split() for line in (lines[2], lines[3], lines[-2])] == [
+    assert lines[0] == "dot@3: four frames from 0.500 s to 0.575 s (40 a second), crop 20,4,60"
+    assert [line.split() for line in (lines[2], lines[3], lines[-3])] == [
         ["time_s", "ball", "x", "y"],
         ["0.000", "0", "30.0", "24.0"],
-        ["1.000", "0", "60.0", "24.0"],
+        ["1.000", "0", "70.0", "24.0"],
     ]
-    assert lines[-1] == "warning: beware"
+    assert lines[-2:] == [
+        "warning: the camera took no frames 40 a second apart: they are blended from those before "
+        "and after, up to 33 ms apart",
+        "warning: beware",
+    ]
     [body] = service.requests
-    assert (field(body, "model"), field(body, "horizon")) == ("dot", "31")
-    assert float(field(body, "frame_rate")) == pytest.approx(30, rel=1e-3)
+    assert (field(body, "model"), field(body, "horizon")) == ("dot", "41")
+    assert float(field(body, "frame_rate")) == pytest.approx(40, rel=1e-3)
     with Image.open(out) as picture:
         assert picture.size == (720 + 3 * 360, 720)
 
@@ -144,7 +148,7 @@ def test_images_or_their_folder(run, service, tmp_path, as_folder):
     ("arguments", "message"),
     [
         (["nowhere.mp4"], "rollcast: nowhere.mp4 cannot be read: No such file or directory\n"),
-        (["VIDEO", "--start", "2"], "{video} ends at 1.967 s; 4 frames from 2 s do not fit\n"),
+        (["VIDEO", "--start", "2"], "{video} ends before 2.042 s; 4 frames from 2 s do not fit\n"),
         (["VIDEO", "--crop", "50,0,64"], "y 0..64, the picture is 96 x 64\n"),
         (["IMAGE", "IMAGE", "IMAGE"], "3 images, expected a video, a folder or at least four"),
         (["IMAGE", "IMAGE", "IMAGE", "IMAGE", "--start", "1"], "--start is for a video"),

@@ -9,7 +9,7 @@ from PIL import Image
 
 from rollcast.errors import CropError, FootageError
 from rollcast.footage import SquareCrop
-from rollcast.video import frames_at, read_frames
+from rollcast.video import camera_rate, frames_at, read_frames
 
 WIDTH, HEIGHT = 96, 64
 STEP = 4  # of brightness between two frames
@@ -45,32 +45,47 @@ def even(rate, frames=50, first_ms=0):
     return [first_ms + round(1000 * index / rate) for index in range(frames)]
 
 
+def places(footage):
+    """Where in the video these are, counted in frames: between two where they were blended."""
+    return (footage.frames[:, -8:, -8:].mean(axis=(1, 2, 3)) - 20) / STEP
+
+
 def numbers(footage):
     """Which frames of the video these are."""
-    brightness = footage.frames[:, -8:, -8:].mean(axis=(1, 2, 3))
-    return np.round((brightness - 20) / STEP).astype(int).tolist()
+    return np.round(places(footage)).astype(int).tolist()
 
 
 @pytest.mark.parametrize(
-    ("rate", "expected", "real_rate"),
-    [
-        (30, [12, 13, 14, 15], 30),
-        (25, [10, 11, 12, 13], 25),
-        (40, [16, 17, 18, 19], 40),
-        (50, [20, 21, 22, 23], 50),
-        (60, [24, 26, 28, 30], 30),
-        (120, [48, 51, 54, 57], 40),
-    ],
+    ("rate", "every", "real_rate"),
+    [(40, 1, 40), (39, 1, 39.5), (80, 2, 40), (119.88, 3, 39.96), (240, 6, 40)],
 )
-def test_the_nearest_even_spacing_that_the_clip_has(tmp_path, rate, expected, real_rate):
+def test_every_mth_frame_of_a_camera_whose_rate_is_a_multiple(tmp_path, rate, every, real_rate):
     video = write_video(tmp_path / "clip.mp4", even(rate, frames=58))
-    footage = read_frames(video, start_s=0.4)
-    assert numbers(footage) == expected
+    footage = read_frames(video, start_s=0.1)
+    first = round(0.1 * rate)
+    assert numbers(footage) == [first, first + every, first + 2 * every, first + 3 * every]
     assert footage.frames.shape == (4, HEIGHT, HEIGHT, 3)
     assert footage.frames.dtype == np.uint8
-    np.testing.assert_allclose(footage.times_s, np.array(expected) / rate, atol=6e-4)
-    assert footage.frame_rate == pytest.approx(real_rate, rel=0.02)
-    assert footage.unevenness < 0.05
+    assert footage.blended_over_s == 0
+    assert footage.frame_rate == pytest.approx(real_rate, rel=0.01)
+    assert camera_rate(video) == pytest.approx(rate, rel=0.02), "containers round times"
+
+
+@pytest.mark.parametrize("rate", [15, 24, 25, 29.97, 48, 50, 60, 100])
+def test_frames_that_no_camera_took_are_blended(tmp_path, rate):
+    video = write_video(tmp_path / "clip.mp4", even(rate, frames=58))
+    footage = read_frames(video, start_s=0.4)
+    assert footage.times_s[0] == pytest.approx(round(0.4 * rate) / rate, abs=1e-3)
+    # Frame k comes k / 40 s later, but for those that are near enough to one that was taken.
+    np.testing.assert_allclose(footage.times_s - footage.times_s[0], np.arange(4) / 40, atol=4e-3)
+    np.testing.assert_allclose(places(footage), footage.times_s * rate, atol=0.4)
+    assert footage.blended_over_s == pytest.approx(1 / rate, abs=1e-3)
+
+
+def test_another_rate_may_be_asked_for(tmp_path):
+    video = write_video(tmp_path / "clip.mp4", even(30))
+    assert numbers(read_frames(video, frame_rate=30)) == [0, 1, 2, 3]
+    assert numbers(read_frames(video, frame_rate=10)) == [0, 3, 6, 9]
 
 
 @pytest.mark.parametrize(
@@ -86,7 +101,7 @@ def test_the_nearest_even_spacing_that_the_clip_has(tmp_path, rate, expected, re
 def test_times_count_from_the_first_frame_in_every_container(tmp_path, name, codec):
     video = write_video(tmp_path / name, even(25), codec=codec, g="10", b="2000000")
     for start_s in (0, 0.33, 1.0, 1.84):
-        footage = read_frames(video, start_s=start_s)
+        footage = read_frames(video, start_s=start_s, frame_rate=25)
         first = round(start_s * 25)
         assert numbers(footage) == list(range(first, first + 4))
         np.testing.assert_allclose(footage.times_s, np.arange(first, first + 4) / 25, atol=1e-3)
@@ -94,19 +109,21 @@ def test_times_count_from_the_first_frame_in_every_container(tmp_path, name, cod
 
 def test_a_first_frame_that_is_late_is_time_zero(tmp_path):
     video = write_video(tmp_path / "clip.mkv", even(25, first_ms=3000))
-    footage = read_frames(video, start_s=0.2)
+    footage = read_frames(video, start_s=0.2, frame_rate=25)
     assert numbers(footage) == [5, 6, 7, 8]
     assert footage.times_s[0] == pytest.approx(0.2)
 
 
-def test_a_variable_rate_is_told_from_an_even_one(tmp_path):
-    times_ms = [0, 33, 67, 100, 133, 167, 300, 333, 367, 400]
+def test_a_variable_rate_becomes_an_even_one(tmp_path):
+    times_ms = [0, 20, 50, 60, 90, 200, 225, 250, 275, 300]
     video = write_video(tmp_path / "clip.mkv", times_ms)
-    assert read_frames(video, start_s=0.05).unevenness < 0.05
-    with_gap = read_frames(video, start_s=0.1)
-    assert numbers(with_gap) == [3, 4, 5, 6]
-    assert with_gap.unevenness > 0.5
-    assert with_gap.frame_rate == pytest.approx(15)
+    footage = read_frames(video)
+    np.testing.assert_allclose(footage.times_s, [0, 0.025, 0.05, 0.075], atol=1e-3)
+    expected = np.interp(1e3 * footage.times_s, times_ms, range(len(times_ms)))
+    np.testing.assert_allclose(places(footage), expected, atol=0.3)
+    assert footage.blended_over_s == pytest.approx(0.03)
+    assert read_frames(video, start_s=0.09).blended_over_s == pytest.approx(0.11), "a gap"
+    assert read_frames(video, start_s=0.2).blended_over_s == 0
 
 
 def test_frames_at_times_without_repetition_until_the_end(tmp_path):
@@ -163,10 +180,10 @@ def test_a_crop_outside_the_picture_is_refused(tmp_path, crop, message):
         read_frames(video, crop=crop)
 
 
-@pytest.mark.parametrize("start_s", [0.1, 0.2, 100, 1e9])
+@pytest.mark.parametrize("start_s", [0.12, 0.2, 100, 1e9])
 def test_a_start_too_near_the_end_or_beyond_is_refused(tmp_path, start_s):
     video = write_video(tmp_path / "clip.mp4", even(25, frames=5))
-    with pytest.raises(FootageError, match=r"ends at 0\.160 s; 4 frames from .* s do not fit"):
+    with pytest.raises(FootageError, match=r"ends before .* s; 4 frames from .* s do not fit"):
         read_frames(video, start_s=start_s)
 
 
@@ -182,7 +199,8 @@ def test_a_file_that_cannot_be_sought_in(tmp_path):
     pictures[0].save(
         tmp_path / "clip.gif", save_all=True, append_images=pictures[1:], duration=40, loop=0
     )
-    assert numbers(read_frames(tmp_path / "clip.gif", start_s=0.4)) == [10, 11, 12, 13]
+    footage = read_frames(tmp_path / "clip.gif", start_s=0.4, frame_rate=25)
+    assert numbers(footage) == [10, 11, 12, 13]
 
 
 def test_files_that_are_no_video_are_refused(tmp_path):
