@@ -20,6 +20,8 @@ STEP_FILE = "step.onnx"
 MANIFEST_FILE = "manifest.json"
 CARD_FILE = "MODEL_CARD.md"
 GOLDEN_FILE = "golden.npz"
+FAMILIARITY_FILE = "familiarity.npz"
+"""What the training frames look like (``rollcast.familiarity``); not every artefact has it."""
 HASHED_FILES = (ENCODER_FILE, STEP_FILE, CARD_FILE, GOLDEN_FILE)
 """Those that every artefact has."""
 
@@ -118,6 +120,16 @@ class Parity(_Part):
     tolerance: dict[OutputName, float]
 
 
+class Unfamiliar(_Part):
+    """When frames look unlike those of the training (``rollcast.familiarity``)."""
+
+    threshold: Positive
+    """Score above which they do."""
+    false_alarm_rate: Annotated[float, Field(ge=0, le=1)]
+    """Share of the test split's windows above it, which look as the training's do."""
+    test_windows: Annotated[int, Field(ge=1)]
+
+
 class Manifest(_Part):
     """Everything there is to know about one version of one model."""
 
@@ -151,6 +163,8 @@ class Manifest(_Part):
     parity: Parity
     golden_tolerance: dict[OutputName, Positive]
     """Largest absolute difference from golden.npz at which the model is served."""
+    unfamiliar: Unfamiliar | None = None
+    """None without FAMILIARITY_FILE: such a model cannot tell."""
     files: dict[str, Sha256]
     licence: str
 
@@ -170,8 +184,10 @@ class Manifest(_Part):
                 raise ValueError(f"output {name} has shape {shape} for {self.objects} objects")
         if (self.final_step is not None) != (self.frames == OBSERVED_FRAMES + 1):
             raise ValueError(f"final_step is {self.final_step} with {self.frames} frames")
-        if set(self.files) - {EYE_FILE} != set(HASHED_FILES):
+        if set(self.files) - {EYE_FILE, FAMILIARITY_FILE} != set(HASHED_FILES):
             raise ValueError(f"files are {sorted(self.files)}, expected {sorted(HASHED_FILES)}")
+        if (self.unfamiliar is None) == (FAMILIARITY_FILE in self.files):
+            raise ValueError(f"{FAMILIARITY_FILE} and unfamiliar belong together")
         if set(self.golden_tolerance) != wanted:
             raise ValueError(f"golden_tolerance names {sorted(self.golden_tolerance)}")
         return self

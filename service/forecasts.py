@@ -19,6 +19,7 @@ from rollcast.http import (
 )
 from rollcast.manifest import Manifest
 from rollcast.scene import COLORS
+from service.doubts import doubts
 from service.errors import InvalidValueError
 from service.images import decode_frames
 from service.metrics import Metrics
@@ -26,9 +27,6 @@ from service.registry import Registry, Wish
 from service.rollout import Forecast, Outputs, assemble, stacked
 from service.scheduler import Seen
 from service.stages import Stages
-
-RATE_TOLERANCE = 0.05
-"""Relative difference of frame rates beyond which the answer carries a warning."""
 
 
 class _Forecast:
@@ -51,6 +49,7 @@ class _Forecast:
         self._stages = Stages(metrics)
         self._side = 0
         self._horizon = 0
+        self._doubts: list[str] = []
 
     def begin(self) -> Seen:
         """Choose the model and decode the frames.
@@ -68,6 +67,7 @@ class _Forecast:
         self.manifest = predictor.manifest
         self._horizon = _horizon(request, predictor.manifest)
         frames, self._side = _decode(request)
+        self._doubts = doubts(request, predictor, self._horizon, frames)
         self._stages.next()
         return Seen(predictor, frames[None], self._horizon)
 
@@ -96,7 +96,7 @@ class _Forecast:
             frame_size=(self._side, self._side),
             frame_rate=self.request.frame_rate,
             final_positions=None if final_positions is None else final_positions[0].tolist(),
-            warnings=_warnings(self.request, manifest, self._horizon),
+            warnings=self._doubts,
             timing_ms=taken,
         )
 
@@ -232,25 +232,3 @@ def _objects(forecast: Forecast, manifest: Manifest) -> list[ForecastObject]:
         )
         for ball in range(manifest.objects)
     ]
-
-
-def _warnings(request: PredictRequest, manifest: Manifest, horizon: int) -> list[str]:
-    warnings: list[str] = []
-    if horizon > manifest.trained_horizon:
-        warnings.append(
-            f"The horizon of {horizon} steps exceeds the {manifest.trained_horizon} steps that "
-            f"{manifest.label} was trained on: later steps are extrapolated."
-        )
-    known = manifest.covariance.empirical
-    if known is not None and horizon > len(known):
-        warnings.append(
-            f"The empirical covariances of {manifest.label} end with step {len(known) - 1}: "
-            "later steps repeat the last one."
-        )
-    rate = manifest.frame_rate_hz
-    if abs(request.frame_rate - rate) > RATE_TOLERANCE * rate:
-        warnings.append(
-            f"The frames are {request.frame_rate:g} a second and {manifest.label} was trained on "
-            f"{rate:g}: the forecast assumes what it learned there."
-        )
-    return warnings

@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
+from rollcast.familiarity import Familiarity
 from rollcast.manifest import CovarianceSource, Manifest, OutputName
 from service.errors import DivergedError
 
@@ -30,6 +31,8 @@ class Predictor(Protocol):
     """A network that can be rolled out. ``service.runtime`` has the real one."""
 
     manifest: Manifest
+    familiarity: Familiarity | None
+    """What its training frames look like; None when it cannot tell."""
 
     def encode(self, frames: UInt8[np.ndarray, "B K 128 128 3"], *, helped: bool = False) -> Step:
         """Return the first state and the outputs of step t = 0.

@@ -11,9 +11,11 @@ from jaxtyping import UInt8
 from loky import cpu_count
 
 from rollcast.eye import look
+from rollcast.familiarity import Familiarity
 from rollcast.manifest import (
     ENCODER_FILE,
     EYE_FILE,
+    FAMILIARITY_FILE,
     FRAMES_INPUT,
     NEXT_PREFIX,
     STEP_FILE,
@@ -57,6 +59,8 @@ class OnnxPredictor:
 
     def __init__(self, folder: Path, manifest: Manifest) -> None:
         self.manifest = manifest
+        known = manifest.unfamiliar is not None
+        self.familiarity = Familiarity.read(folder / FAMILIARITY_FILE) if known else None
         eye = manifest.files.get(EYE_FILE)
         self._eye = None if eye is None else _shared_eye(folder / EYE_FILE, eye)
         # Behind an eye it is small sums, which optimising makes no faster; it takes half the load.

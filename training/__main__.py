@@ -15,6 +15,7 @@ from training.artefact import initial_networks, load_exported
 from training.dissect import dissected, dissection_table
 from training.evaluate import evaluation_sets, markdown_table, metric_rows, run
 from training.export import export_run, with_covariance
+from training.familiarity import FAMILIAR_SCENES, familiarise
 from training.initial import Initial
 from training.models.fieldnet import FieldNet
 from training.models.paper import VggEncoder, load_imagenet
@@ -143,6 +144,19 @@ def _parser() -> argparse.ArgumentParser:
     quantised.add_argument("--version", type=int, default=2)
     quantised.add_argument("--scenes", type=int, default=500, help="test scenes per scenario")
     quantised.set_defaults(run=_quantise)
+
+    familiarised = commands.add_parser(
+        "familiarise",
+        parents=[processes],
+        help="write into exported models how to tell frames that look unlike the training's",
+    )
+    familiarised.add_argument(
+        "models", type=Path, nargs="*", help="models/NAME/VERSION (default: all committed ones)"
+    )
+    familiarised.add_argument(
+        "--scenes", type=int, default=FAMILIAR_SCENES, help="scenes to fit to, a kind"
+    )
+    familiarised.set_defaults(run=_familiarise)
 
     campaigned = commands.add_parser(
         "campaign",
@@ -284,6 +298,13 @@ def _export(arguments: argparse.Namespace) -> None:
             f"no trained weights at {error.filename}: run `python -m training train "
             f"{arguments.recipe}` first, or name the folder of its runs with ROLLCAST_RUNS"
         ) from error
+    _complete(manifests, arguments.models, arguments.workers)
+
+
+def _complete(manifests: Sequence[Manifest], models: Path, workers: int) -> None:
+    """Write into exports what only scenes tell, and print how good they are."""
+    folders = [models / manifest.name / str(manifest.version) for manifest in manifests]
+    familiarise(folders, FAMILIAR_SCENES, workers)
     _show(manifests)
 
 
@@ -303,6 +324,12 @@ def _quantise(arguments: argparse.Namespace) -> None:
     except NotWorthItError as error:
         raise SystemExit(str(error)) from error
     print(f"{manifest.label}, from {manifest.training['quantised']}")
+
+
+def _familiarise(arguments: argparse.Namespace) -> None:
+    folders = arguments.models or [path.parent for path in MODELS.glob(f"*/*/{MANIFEST_FILE}")]
+    for manifest in familiarise(folders, arguments.scenes, arguments.workers):
+        print(f"{manifest.label}: {manifest.unfamiliar}")
 
 
 def _campaign(arguments: argparse.Namespace) -> None:
@@ -331,7 +358,7 @@ def _finish(chosen: campaign.Round, outcome: campaign.Outcome, given: argparse.N
     print(f"{chosen.recipe.name}: {before} px before, {now} px now")
     if outcome.gain > 0:
         made = export_run(chosen.recipe, chosen.folder, MODELS, 1, given.scenes, given.workers)
-        _show(made)
+        _complete(made, MODELS, given.workers)
     campaign.finish(chosen, outcome)
 
 

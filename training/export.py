@@ -14,6 +14,7 @@ from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import (
     CARD_FILE,
     EYE_FILE,
+    FAMILIARITY_FILE,
     GOLDEN_FILE,
     HASHED_FILES,
     MANIFEST_FILE,
@@ -116,6 +117,8 @@ def export(
         When torch and ONNX Runtime differ by more than the tolerance.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    # That of an earlier export in this place; training.familiarity writes it anew.
+    (folder / FAMILIARITY_FILE).unlink(missing_ok=True)
     task = trained.recipe.task
     predictor = trained.predictor.cpu().eval()
     round_weights(m for m in predictor.modules() if isinstance(m, Eye | AttendedTransition))
@@ -319,5 +322,6 @@ def _served_covariances(made: Forecasts, covariance: CovarianceSource) -> np.nda
 
 def hashes(folder: Path) -> dict[str, str]:
     """Sha256 of an artefact's files, by name."""
-    there = [name for name in (EYE_FILE, *HASHED_FILES) if (folder / name).exists()]
+    possible = (EYE_FILE, FAMILIARITY_FILE, *HASHED_FILES)
+    there = [name for name in possible if (folder / name).exists()]
     return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in there}

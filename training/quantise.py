@@ -18,6 +18,7 @@ from rollcast.manifest import (
     CARD_FILE,
     ENCODER_FILE,
     EYE_FILE,
+    FAMILIARITY_FILE,
     FRAMES_INPUT,
     GOLDEN_FILE,
     MANIFEST_FILE,
@@ -78,7 +79,8 @@ def quantise(source: Path, version: int, test_scenes: int, workers: int) -> Mani
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         write_quantised(source / EYE_FILE, folder / EYE_FILE, _calibration_frames(validation))
-        for file in (ENCODER_FILE, STEP_FILE):
+        known = () if float32.unfamiliar is None else (FAMILIARITY_FILE,)
+        for file in (ENCODER_FILE, STEP_FILE, *known):
             shutil.copy(source / file, folder / file)
         slow, fast = Graphs(source), Graphs(folder)
         gain = _gain(slow, fast, validation[0], horizon)

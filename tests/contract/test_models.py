@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rollcast.familiarity import look
 from rollcast.manifest import FRAMES_INPUT, GOLDEN_FILE, MANIFEST_FILE, Manifest
 from service.rollout import Step, assemble, roll_out
 from service.runtime import OnnxPredictor
@@ -103,3 +104,14 @@ def test_a_manifest_tells_the_error_of_every_scenario(predictor):
         manifest.parity.max_abs_error[name] <= manifest.parity.tolerance[name]
         for name in manifest.output_names
     )
+
+
+def test_golden_frames_look_familiar_and_their_negatives_do_not(predictor, frames):
+    known, familiarity = predictor.manifest.unfamiliar, predictor.familiarity
+    if known is None:
+        assert familiarity is None
+        return
+    assert known.false_alarm_rate <= 0.02
+    for seen in frames:
+        assert familiarity.score(look(seen)) <= known.threshold
+        assert familiarity.score(look(255 - seen)) > known.threshold

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from rollcast.familiarity import Familiarity
 from rollcast.manifest import HASHED_FILES, OUTPUT_SHAPES, Manifest
 from service.registry import Model, Registry
 from service.rollout import Arrays, Step
@@ -117,8 +118,9 @@ def manifest(**changes: object) -> Manifest:
 class DotPredictor:
     """Follows the white square along a straight line, with unit covariances."""
 
-    def __init__(self, manifest: Manifest) -> None:
+    def __init__(self, manifest: Manifest, familiarity: Familiarity | None = None) -> None:
         self.manifest = manifest
+        self.familiarity = familiarity
 
     def encode(self, frames: np.ndarray, *, helped: bool = False) -> Step:
         positions = _centroids(frames)[:, :, None].repeat(self.manifest.objects, axis=2)
