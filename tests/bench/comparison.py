@@ -15,6 +15,7 @@ from typing import Any
 
 import httpx2
 import numpy as np
+import psutil
 
 from tests.bench.harness import Heard, asked, service
 from tests.bench.loop import CORES, MAX_BATCH, MODEL, ROOT
@@ -22,15 +23,15 @@ from tests.bench.payloads import Kind, frames, payload
 
 CONNECTIONS = (1, 4, 16, 64)
 START_S = 120
-OURS = "Rollcast"
 PREAMBLE = f"""## Beside other frameworks
 
 The same requests (JSON with four PNG files, {MODEL}, 40 steps), the same ONNX files, the same
-{CORES} cores and the same client, one framework after the other in every round. Each runs a
-single-threaded ONNX Runtime on every core and, where it has batching, batches of up to
-{MAX_BATCH} of what waits, without waiting for more (`tests/bench/peers`). Answers a second and
-p99 relative to Rollcast's in the same round, medians of the rounds: Rollcast is ahead where the
-first is under 1 and the second over 1. Answers that are not 200 are failures.
+{CORES} cores and the same client. Each framework runs a single-threaded ONNX Runtime on every core
+and, where it has batching, batches of up to {MAX_BATCH} of what waits, without waiting for more
+(`tests/bench/peers`). It and Rollcast are asked in turn, for a few seconds each, the other one
+stopped meanwhile, so that a machine that drifts does so for both. Answers a second and p99 relative
+to those of Rollcast just before, medians of the rounds with the smallest and the largest: Rollcast
+is ahead where the first is under 1 and the second over 1. Answers that are not 200 are failures.
 """
 
 
@@ -54,73 +55,79 @@ PEERS = (
 
 @dataclass(frozen=True)
 class Load:
-    """What a client heard of a framework."""
+    """What a client heard of a framework and, just before, of Rollcast."""
 
     name: str
     connections: int
-    heard: Heard
+    theirs: Heard
+    ours: Heard
 
 
 def measure(rounds: int, seconds: float) -> list[Load]:
-    """Put every load on every framework, in rounds."""
+    """Put every load on every framework and on Rollcast, in turn."""
     found: list[Load] = []
-    for _ in range(rounds):
-        with service(ROLLCAST_INFERENCE_QUEUE="128") as (address, _):
-            expected = _positions(_first(address, "json"))
-            found += _loads(OURS, address, "json", seconds)
-        for peer in PEERS:
-            with _running(peer) as address:
-                positions = _positions(_first(address, peer.kind))
-                np.testing.assert_allclose(positions, expected, atol=1e-2)
-                found += _loads(peer.name, address, peer.kind, seconds)
+    for peer in PEERS:
+        with (
+            service(ROLLCAST_INFERENCE_QUEUE="128") as (address, ours),
+            _running(peer) as (other, its),
+        ):
+            np.testing.assert_allclose(
+                _positions(_first(other, peer.kind)), _positions(_first(address, "json")), atol=1e-2
+            )
+            for connections in CONNECTIONS:
+                load = ("--connections", str(connections))
+                # A load before the measured ones: adaptive batching learns from what it sees.
+                for measured in (False, *[True] * rounds):
+                    with _stopped(its):
+                        heard = asked(address, seconds, "json", *load)
+                    with _stopped(ours):
+                        theirs = asked(other, seconds, peer.kind, *load)
+                    if measured:
+                        found.append(Load(peer.name, connections, theirs, heard))
     return found
 
 
 def rows(loads: list[Load]) -> list[str]:
-    """Markdown table: a line a framework, two columns a number of connections."""
-    heads = [f"{what}, {c}" for c in CONNECTIONS for what in ("answers", "p99")]
-    lines = [f"| framework | {' | '.join(heads)} | failures |", "|---" * (len(heads) + 2) + "|"]
-    for name in dict.fromkeys(load.name for load in loads if load.name != OURS):
-        cells = [
-            f"{ratio:.2f}"
-            for connections in CONNECTIONS
-            for ratio in _ratios(loads, name, connections)
-        ]
-        failures = sum(load.heard.failures for load in loads if load.name == name)
-        lines.append(f"| {name} | {' | '.join(cells)} | {failures} |")
-    failures = sum(load.heard.failures for load in loads if load.name == OURS)
-    lines.append(f"| {OURS} {'| 1 ' * len(heads)}| {failures} |")
+    """Markdown table: a line a framework and number of connections."""
+    lines = [
+        "| framework | connections | answers | rounds | p99 | rounds | ahead | failures | ours |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for name, connections in dict.fromkeys((load.name, load.connections) for load in loads):
+        of_both = [load for load in loads if (load.name, load.connections) == (name, connections)]
+        rates = [load.theirs.rate / load.ours.rate for load in of_both]
+        p99s = [load.theirs.quantile(0.99) / load.ours.quantile(0.99) for load in of_both]
+        ahead = np.median(rates) < 1 < np.median(p99s)
+        failures = sum(load.theirs.failures for load in of_both)
+        our_failures = sum(load.ours.failures for load in of_both)
+        lines.append(
+            f"| {name} | {connections} | {_spread(rates)} | {_spread(p99s)} "
+            f"| {'yes' if ahead else '**no**'} | {failures} | {our_failures} |"
+        )
     return lines
 
 
-def _ratios(loads: list[Load], name: str, connections: int) -> tuple[float, float]:
-    """Answers and p99 relative to ours, medians of the rounds."""
-    theirs = [one for one in loads if (one.name, one.connections) == (name, connections)]
-    ours = [one for one in loads if (one.name, one.connections) == (OURS, connections)]
-    pairs = list(zip(theirs, ours, strict=True))
-    rates = [one.heard.rate / other.heard.rate for one, other in pairs]
-    p99s = [one.heard.quantile(0.99) / other.heard.quantile(0.99) for one, other in pairs]
-    return float(np.median(rates)), float(np.median(p99s))
-
-
-def _loads(name: str, address: str, kind: Kind, seconds: float) -> list[Load]:
-    found: list[Load] = []
-    for connections in CONNECTIONS:
-        # A load before the measured one: adaptive batching learns from what it sees.
-        asked(address, seconds / 2, kind, "--connections", str(connections))
-        found.append(
-            Load(
-                name,
-                connections,
-                asked(address, seconds, kind, "--connections", str(connections)),
-            )
-        )
-    return found
+def _spread(ratios: list[float]) -> str:
+    """Two cells: the median, then the smallest and the largest."""
+    return f"{np.median(ratios):.2f} | {min(ratios):.2f} .. {max(ratios):.2f}"
 
 
 @contextmanager
-def _running(peer: Peer) -> Iterator[str]:
-    """Run a framework's program; yield its address."""
+def _stopped(process: psutil.Process) -> Iterator[None]:
+    """Stop a server that is not asked: some need a processor even then."""
+    every = [process, *process.children(recursive=True)]
+    for one in every:
+        one.suspend()
+    try:
+        yield
+    finally:
+        for one in every:
+            one.resume()
+
+
+@contextmanager
+def _running(peer: Peer) -> Iterator[tuple[str, psutil.Process]]:
+    """Run a framework's program; yield its address and its process."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -136,7 +143,7 @@ def _running(peer: Peer) -> Iterator[str]:
     address = f"http://127.0.0.1:{port}"
     try:
         _wait(address, peer, process)
-        yield address
+        yield address, psutil.Process(process.pid)
     finally:
         os.killpg(process.pid, signal.SIGTERM)
         try:

@@ -40,7 +40,7 @@ def main() -> None:
     table += [finding.row() for finding in findings]
     costs = curve.measure(given.seconds)
     curve.draw(costs, PICTURE)
-    loads = comparison.measure(max(given.rounds // 2, 1), given.seconds)
+    loads = comparison.measure(given.rounds, given.seconds / 2)
     parts = [
         PREAMBLE,
         *table,
