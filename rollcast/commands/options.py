@@ -118,8 +118,7 @@ Every: TypeAlias = Annotated[
     typer.Option(
         parser=whole_number(1, 1000),
         metavar="N",
-        help="take every N-th frame (default: of a video as near as possible to 40 a second, of "
-        "images all)",
+        help="take every N-th frame as it is, none is blended (default: 40 a second)",
     ),
 ]
 Rate: TypeAlias = Annotated[

@@ -272,14 +272,14 @@ Usage: rollcast predict [OPTIONS] {VIDEO|FOLDER|IMAGES}...
 
 Arguments:
   VIDEO|FOLDER|IMAGES <list[Path]>
-                                  a video, of which four frames as near as possible to 40 a second
-                                  are read; or a folder of images, or at least four images, 40 a
-                                  second  [required]
+                                  a video, of which four frames are read, 40 a second (blended
+                                  where the camera took none); or a folder of images, or at least
+                                  four images  [required]
 
 Options:
   --start SECONDS                 time of the first of the four frames in the video (default: 0)
-  --every N                       take every N-th frame (default: of a video as near as possible
-                                  to 40 a second, of images all)
+  --every N                       take every N-th frame as it is, none is blended (default: 40 a
+                                  second)
   --rate HZ                       images a second, of all of them (default: 40); a video tells its
                                   own
   --crop X,Y,SIZE                 the square that is looked at: left column, upper row, side, in
