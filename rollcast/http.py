@@ -231,6 +231,7 @@ class SimulateRequest(RequestBody):
     textured: Flag | None = None
     """By default true for one ball, false for several."""
     include_frames: Flag = True
+    include_surface: Flag = False
     scene: SceneParameters = SceneParameters()
     """Parameters that shall not be sampled."""
 
@@ -308,6 +309,16 @@ class SimulatedObject(ResponseBody):
     """[steps][x, y, z], rad/s."""
 
 
+class SurfaceGrid(ResponseBody):
+    """Heights of the ground at points that span the frame from edge to edge."""
+
+    half_width_m: float
+    """Half the side of the square that the frame shows, metres."""
+    heights_m: list[list[float | None]]
+    """[n][n] rows from the frame's top to its bottom, columns from left to right; the outermost
+    points lie on its edges. Metres, to the nearest micrometre; None where there is no surface."""
+
+
 class SimulateResponse(ResponseBody):
     """Answer of ``POST /simulate``.
 
@@ -325,6 +336,8 @@ class SimulateResponse(ResponseBody):
     frames: list[str] | None
     """[steps] base64 PNG; None when they were not asked for."""
     objects: list[SimulatedObject]
+    surface: SurfaceGrid | None = None
+    """None when it was not asked for."""
     scene: Scene
 
 

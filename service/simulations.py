@@ -7,6 +7,7 @@ threads, so it never lives in the process that serves.
 import base64
 import functools
 import io
+import math
 import multiprocessing
 import multiprocessing.connection
 import os
@@ -21,9 +22,10 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from rollcast.camera import camera_for
-from rollcast.http import SimulatedObject, SimulateRequest, SimulateResponse
-from rollcast.scene import COLORS
+from rollcast.camera import Camera, camera_for
+from rollcast.http import SimulatedObject, SimulateRequest, SimulateResponse, SurfaceGrid
+from rollcast.scene import COLORS, Scene
+from rollcast.surfaces import surface_of
 from rollcast.trajectory import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
@@ -31,6 +33,9 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 T = TypeVar("T")
+
+SURFACE_POINTS = 65
+"""Heights along a side of the frame: every 3 cm of a bowl, every 4 cm of a heightfield."""
 
 
 @functools.cache
@@ -88,8 +93,21 @@ def simulate(request: SimulateRequest) -> str:
             )
             for ball in range(scene.objects)
         ],
+        surface=_surface(scene, camera) if request.include_surface else None,
         scene=scene,
     ).model_dump_json()
+
+
+def _surface(scene: Scene, camera: Camera) -> SurfaceGrid:
+    edges_px = np.linspace(0, camera.image_size, SURFACE_POINTS)
+    columns, rows = np.meshgrid(edges_px, edges_px)
+    plane_m = camera.unproject(np.stack([columns, rows], axis=-1))
+    heights_m, _ = surface_of(scene).height_and_normal(plane_m[..., 0], plane_m[..., 1])
+    rounded = [[round(height, 6) for height in row] for row in heights_m.tolist()]
+    return SurfaceGrid(
+        half_width_m=camera.half_width_m,
+        heights_m=[[None if math.isnan(height) else height for height in row] for row in rounded],
+    )
 
 
 def _png_files(frames: UInt8[np.ndarray, "steps S S 3"]) -> list[str]:

@@ -3,7 +3,9 @@ import base64
 import numpy as np
 import pytest
 
+from rollcast.perlin import noise_and_gradient
 from rollcast.scene import Scene
+from rollcast.surfaces import NOISE_AMPLITUDE_M
 from service.images import decode_frames
 
 SCENE = {"scenario": "ellipsoid", "seed": 3, "steps": 6}
@@ -36,6 +38,7 @@ def test_the_answer_has_every_field_of_the_design(simulator):
         "times_s",
         "frames",
         "objects",
+        "surface",
         "scene",
     ]
     assert (answer["scenario"], answer["seed"], answer["frame_rate"]) == ("ellipsoid", 3, 40)
@@ -82,6 +85,56 @@ def test_scene_parameters_may_stand_at_the_top_or_in_scene(simulator):
 def test_frames_can_be_left_out(simulator):
     answer = simulator.post("/simulate", json=SCENE | {"include_frames": False}).json()
     assert answer["frames"] is None
+
+
+def surface(simulator, **asked):
+    answer = simulator.post(
+        "/simulate", json=asked | {"seed": 3, "include_frames": False, "include_surface": True}
+    ).json()
+    grid = answer["surface"]
+    half = grid["half_width_m"]
+    heights = np.array(grid["heights_m"], float)
+    # Rows from the frame's top, which is +y, to its bottom; columns from left to right.
+    x, y = np.meshgrid(np.linspace(-half, half, 65), np.linspace(half, -half, 65))
+    assert heights.shape == x.shape
+    return answer["scene"], half, x, y, heights
+
+
+def test_the_surface_of_a_hemisphere(simulator):
+    _, half, x, y, heights = surface(simulator, scenario="hemisphere")
+    assert half == 1.05
+    inside = x**2 + y**2 <= 1
+    assert np.isnan(heights).tolist() == (~inside).tolist()
+    expected = 1 - np.sqrt(1 - (x**2 + y**2)[inside])
+    np.testing.assert_allclose(heights[inside], expected, rtol=0, atol=1e-6)
+
+
+def test_the_surface_of_an_ellipsoid_is_turned_as_its_picture_is(simulator):
+    scene, _, x, y, heights = surface(
+        simulator, scenario="ellipsoid", axis_ratio=0.6, rotation_rad=0.5
+    )
+    assert scene["rotation_rad"] == 0.5
+    along = np.cos(0.5) * x + np.sin(0.5) * y
+    across = np.cos(0.5) * y - np.sin(0.5) * x
+    squared = 1 - (along / 0.6) ** 2 - across**2
+    assert np.isnan(heights).tolist() == (squared < 0).tolist()
+    expected = 1 - np.sqrt(squared[squared >= 0])
+    np.testing.assert_allclose(heights[squared >= 0], expected, rtol=0, atol=1e-6)
+
+
+def test_the_surface_of_a_heightfield_is_its_noise(simulator):
+    scene, half, x, y, heights = surface(simulator, scenario="heightfield")
+    assert half == 1.25
+    cos, sin = np.cos(scene["rotation_rad"]), np.sin(scene["rotation_rad"])
+    offset, scale = scene["noise_offset_m"], scene["noise_scale"]
+    noise, *_ = noise_and_gradient(
+        (cos * x + sin * y + offset[0]) / scale, (cos * y - sin * x + offset[1]) / scale
+    )
+    np.testing.assert_allclose(heights, NOISE_AMPLITUDE_M * noise, rtol=0, atol=1e-6)
+
+
+def test_the_surface_comes_only_when_it_is_asked_for(simulator):
+    assert simulator.post("/simulate", json=SCENE).json()["surface"] is None
 
 
 def test_the_first_step_can_be_chosen(simulator):
