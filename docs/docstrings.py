@@ -9,6 +9,8 @@ ATTRIBUTES = {"attribute", "data", "property"}
 
 def mend(app: object, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:  # noqa: ARG001
     """Change a docstring in place; autodoc asks before napoleon does."""
+    # Docutils takes NAME@VERSION for an address.
+    lines[:] = [re.sub(r"(?<![`\w])\w+@\w+\b", r"``\g<0>``", line) for line in lines]
     if what in ATTRIBUTES:
         # Napoleon takes what stands before a colon in the first line for a type: an empty comment.
         lines[:0] = ["..", ""]

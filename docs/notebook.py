@@ -17,6 +17,7 @@ from pathlib import Path
 
 import nbformat
 from nbclient import NotebookClient
+from traitlets.config import Config
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOK = ROOT / "docs/guide/forecast.ipynb"
@@ -51,7 +52,13 @@ def _executed(notebook: nbformat.NotebookNode, address: str) -> nbformat.Noteboo
     asked = nbformat.from_dict(notebook)
     for cell in asked.cells:
         cell.source = cell.source.replace(ADDRESS, address)
-    made = NotebookClient(asked, timeout=120, resources={"metadata": {"path": ROOT}}).execute()
+    client = NotebookClient(
+        asked,
+        timeout=120,
+        resources={"metadata": {"path": ROOT}},
+        config=Config({"KernelManager": {"transport": "ipc"}}),
+    )
+    made = client.execute()
     for cell in made.cells:
         cell.source = cell.source.replace(address, ADDRESS)
         # When it was executed, and how long that took, would change with every execution.

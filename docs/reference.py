@@ -154,11 +154,13 @@ def _operation(method: str, path: str, operation: Json) -> str:
     body = operation.get("requestBody")
     if body is not None:
         rows.append(("body", _contents(body["content"])))
+    answers: dict[str, list[str]] = {}
     for status, response in operation["responses"].items():
         # The protocol's own document says "default" for what its tables leave open.
         if status != "default":
-            content = _contents(response.get("content", {}))
-            rows.append((status, content or response["description"]))
+            content = _contents(response.get("content", {})) or response["description"]
+            answers.setdefault(content, []).append(status)
+    rows += [(", ".join(statuses), content) for content, statuses in answers.items()]
     lines += [_table(("", "what"), rows), ""]
     return "\n".join(lines)
 

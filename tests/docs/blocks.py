@@ -1,0 +1,72 @@
+"""Code blocks of the documents: which there are, and which of them cannot run in a test."""
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+from markdown_it import MarkdownIt
+
+ROOT = Path(__file__).resolve().parents[2]
+GUIDE = ROOT / "docs/guide"
+PAGES = (ROOT / "README.md", ROOT / "docs/index.md", *sorted(GUIDE.glob("*.md")))
+NOTEBOOK = GUIDE / "forecast.ipynb"
+
+INDEX = "needs the package index"
+SERVER = "is the server that the other blocks ask"
+DOCKER = "needs a Docker engine; make image-test builds and runs the images"
+CLUSTER = "needs a cluster; make image-test judges the manifests, make cluster-test runs Ray"
+HOURS = "works for minutes to days; its arguments are parsed"
+MAKES = "makes environments, then runs for minutes"
+
+NOT_RUN = {
+    ("start.md", "git clone ADDRESS_OF_THIS_REPOSITORY rollcast"): MAKES,
+    ("start.md", "python3.11 -m venv .venv/client"): INDEX,
+    ("api-python.md", "pip install .                                # the client"): INDEX,
+    ("deployment.md", "make serve"): SERVER,
+    ("deployment.md", ".venv/service/bin/python -m service --host 0.0.0.0 --port 8000"): SERVER,
+    ("deployment.md", "docker build -f docker/service.Dockerfile -t rollcast-service ."): DOCKER,
+    ("deployment.md", "kubectl apply -f docker/kubernetes/rollcast.yaml"): CLUSTER,
+    ("deployment.md", "serve run service.cluster:application"): CLUSTER,
+    ("research.md", "python -m training simulate hemisphere --scenes 1000 --split training"): HOURS,
+    (
+        "research.md",
+        "python -m training evaluate --all        # docs/results: tables, curves, ellipses; "
+        "an hour or so",
+    ): HOURS,
+    ("research.md", "python -m training train field-one-ball"): HOURS,
+}
+"""By page and first line. Nothing else is left out."""
+
+
+class Block(NamedTuple):
+    """A fenced block of code."""
+
+    page: str
+    line: int
+    """Of the page, from 1."""
+    language: str
+    text: str
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """How NOT_RUN names it."""
+        return self.page, self.text.splitlines()[0]
+
+    def __str__(self) -> str:
+        return f"{self.page}:{self.line}"
+
+
+def blocks() -> list[Block]:
+    """Every block of every page that shows code; directives are the site's own affair."""
+    return [
+        Block(page.name, token.map[0] + 1, token.info.strip(), token.content)
+        for page in PAGES
+        for token in MarkdownIt().parse(page.read_text(encoding="utf-8"))
+        if token.type == "fence" and token.map and not token.info.startswith("{")
+    ]
+
+
+def notebook_code() -> str:
+    """All of the notebook's code."""
+    cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+    return "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
