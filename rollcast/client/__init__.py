@@ -20,7 +20,7 @@ Exceptions: ``rollcast.errors.ClientError`` and its heirs. A service for tests t
 
 from rollcast.client.aio import AsyncClient, AsyncForecastStream
 from rollcast.client.images import Crop, Frame, Frames
-from rollcast.client.results import Forecast, ForecastStep, Simulation
+from rollcast.client.results import Forecast, ForecastStep, Simulation, Surface
 from rollcast.client.sync import Client, ForecastStream
 
 __all__ = [
@@ -34,4 +34,5 @@ __all__ = [
     "Frame",
     "Frames",
     "Simulation",
+    "Surface",
 ]

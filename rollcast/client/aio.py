@@ -171,6 +171,7 @@ class AsyncClient:
         image_size: int = 128,
         textured: bool | None = None,
         include_frames: bool = True,
+        include_surface: bool = False,
         scene: Scene | Mapping[str, Any] | None = None,
     ) -> Simulation:
         """Simulate a scene.
@@ -191,6 +192,8 @@ class AsyncClient:
             By default true for one ball.
         include_frames
             False leaves the frames out.
+        include_surface
+            True adds the heights of the ground.
         scene
             A scene that came back, or any of the fields of ``rollcast.scene.Scene``; the others are
             sampled.
@@ -202,6 +205,7 @@ class AsyncClient:
             "image_size": image_size,
             "textured": textured,
             "include_frames": include_frames,
+            "include_surface": include_surface or None,  # older services do not know it
         }
         return await self._run(calls.simulate(scenario, seed, scene, fields))
 

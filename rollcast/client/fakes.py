@@ -2,6 +2,7 @@
 
 import base64
 import io
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 from pydantic import BaseModel, ValidationError
 
+from rollcast.camera import camera_for
 from rollcast.http import (
     DEFAULT_HORIZON,
     ForecastObject,
@@ -25,8 +27,10 @@ from rollcast.http import (
     StreamDone,
     StreamObject,
     StreamStep,
+    SurfaceGrid,
 )
 from rollcast.scene import COLORS, SCENARIOS, Scene
+from rollcast.surfaces import surface_of
 from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ, OBSERVED_FRAMES
 
 NAME = "fake"
@@ -37,6 +41,7 @@ BELOW = np.array([0.0, 0.2])
 VELOCITY = np.array([0.01, 0.004])
 """Of the first ball at index 0, from each ball to the next and a step: shares of the frame."""
 RADIUS = 0.05
+SURFACE_POINTS = 9
 TURNING_RAD_S = (0.0, 1.0, 0.0)
 
 
@@ -164,6 +169,7 @@ def simulation(wish: SimulateRequest) -> SimulateResponse:
     side = wish.image_size
     indices = np.arange(wish.steps)
     paths = [_line(ball, indices, side) for ball in range(wish.balls)]
+    scene = _scene(wish)
     return SimulateResponse(
         scenario=wish.scenario,
         seed=wish.seed,
@@ -184,7 +190,8 @@ def simulation(wish: SimulateRequest) -> SimulateResponse:
             )
             for ball, path in enumerate(paths)
         ],
-        scene=_scene(wish),
+        surface=_ground(scene) if wish.include_surface else None,
+        scene=scene,
     )
 
 
@@ -267,6 +274,17 @@ def _drawn(centres: Sequence[np.ndarray], side: int) -> str:
     buffer = io.BytesIO()
     image.save(buffer, "PNG", compress_level=1)
     return base64.b64encode(buffer.getvalue()).decode()
+
+
+def _ground(scene: Scene) -> SurfaceGrid:
+    reach_m = camera_for(scene.scenario, image_size=1).half_width_m
+    points_m = np.linspace(-reach_m, reach_m, SURFACE_POINTS)
+    heights_m, _ = surface_of(scene).height_and_normal(*np.meshgrid(points_m, -points_m))
+    rows: list[list[float]] = heights_m.tolist()
+    return SurfaceGrid(
+        half_width_m=reach_m,
+        heights_m=[[None if math.isnan(height) else height for height in row] for row in rows],
+    )
 
 
 def _scene(wish: SimulateRequest) -> Scene:

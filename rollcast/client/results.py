@@ -176,6 +176,17 @@ class Forecast:
 
 
 @dataclass(frozen=True)
+class Surface:
+    """The ground of a scene: its heights at points that span the frame from edge to edge."""
+
+    heights_m: Float64[np.ndarray, "n n"]
+    """Metres; rows from the frame's top to its bottom, columns from left to right, the outermost on
+    its edges. NaN where there is no ground."""
+    half_width_m: float
+    """Half the side of the square that the frame shows, metres."""
+
+
+@dataclass(frozen=True)
 class Simulation:
     """A scene and what happens in it. Forecast step t of frames 0..3 belongs to index t + 3."""
 
@@ -199,6 +210,8 @@ class Simulation:
     """Width and height of the frames, pixels."""
     frame_rate: float
     """Frames a second."""
+    surface: Surface | None = None
+    """The ground; None when it was not asked for."""
 
     def to_dataframe(self) -> "DataFrame":
         """Return a row for every step of every ball, in the order of time (needs pandas).
@@ -231,7 +244,7 @@ class Simulation:
     @classmethod
     def from_response(cls, response: SimulateResponse) -> Self:
         """Turn the answer's lists and images into arrays."""
-        files = response.frames
+        files, ground = response.frames, response.surface
         return cls(
             frames=None
             if files is None
@@ -245,6 +258,9 @@ class Simulation:
             start_step=response.start_step,
             frame_size=response.frame_size,
             frame_rate=response.frame_rate,
+            surface=None
+            if ground is None
+            else Surface(np.array(ground.heights_m, np.float64), ground.half_width_m),
         )
 
 

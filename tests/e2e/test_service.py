@@ -33,6 +33,15 @@ def test_a_scene_can_be_asked_for_again(client):
     np.testing.assert_array_equal(scene.positions, again.positions)
 
 
+def test_the_ground_can_be_asked_for(client):
+    bowl = client.simulate("hemisphere", seed=3, steps=4, include_surface=True).surface
+    middle = len(bowl.heights_m) // 2
+    assert bowl.heights_m[middle, middle] == np.nanmin(bowl.heights_m)
+    assert np.isnan(bowl.heights_m[0, 0])
+    assert bowl.half_width_m == 1.05
+    assert client.simulate("hemisphere", seed=3, steps=4).surface is None
+
+
 def test_larger_frames_are_answered_in_their_own_pixels(client):
     small = client.simulate("hemisphere", seed=11, steps=4)
     large = client.simulate("hemisphere", seed=11, steps=4, image_size=512)

@@ -35,6 +35,20 @@ def test_its_forecasts_go_on_where_its_scenes_show_the_balls(client, scenario, o
     assert connected.simulate(scenario, seed=3, include_frames=False).frames is None
 
 
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_its_scenes_have_a_ground_where_it_is_asked_for(client, scenario):
+    connected = client(service := FakeService())
+    assert connected.simulate(scenario, seed=3).surface is None
+    assert "include_surface" not in service.asked[0].fields, "older services do not know it"
+    scene = connected.simulate(scenario, seed=3, include_surface=True)
+    heights = scene.surface.heights_m
+    assert (heights.dtype, heights.shape) == (np.float64, (9, 9))
+    outside = np.isnan(heights)
+    assert outside[0, 0] == (scenario != "heightfield")
+    assert not outside[4, 4]
+    assert scene.surface.half_width_m == (1.25 if scenario == "heightfield" else 1.05)
+
+
 @pytest.mark.parametrize("path", [[[1, 2], [3, 4], [5, 6]], [[[1, 2], [3, 4], [5, 6]]]], ids=len)
 def test_forecasts_may_be_chosen(client, path):
     connected = client(FakeService(path, variance_px2=9))

@@ -131,6 +131,7 @@ class AsyncClient(
         image_size: int = 128,
         textured: bool | None = None,
         include_frames: bool = True,
+        include_surface: bool = False,
         scene: rollcast.scene.Scene | Mapping[str, Any] | None = None,
     ) -> rollcast.client.results.Simulation
 class AsyncForecastStream(
@@ -203,6 +204,7 @@ class Client(
         image_size: int = 128,
         textured: bool | None = None,
         include_frames: bool = True,
+        include_surface: bool = False,
         scene: rollcast.scene.Scene | Mapping[str, Any] | None = None,
     ) -> rollcast.client.results.Simulation
 Crop = Literal['square']
@@ -271,6 +273,7 @@ class Simulation(
         start_step: int,
         frame_size: tuple[int, int],
         frame_rate: float,
+        surface: rollcast.client.results.Surface | None = None,
     ) -> None
     def from_response(
         response: rollcast.http.SimulateResponse,
@@ -282,7 +285,11 @@ class Simulation(
     ) -> PIL.Image.Image
     def to_dataframe(
         self,
-    ) -> 'DataFrame'\
+    ) -> 'DataFrame'
+class Surface(
+        heights_m: jaxtyping.Float64[ndarray, 'n n'],
+        half_width_m: float,
+    ) -> None\
 """)
 
 

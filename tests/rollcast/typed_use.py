@@ -20,6 +20,7 @@ from rollcast.client import (
     ForecastStep,
     ForecastStream,
     Simulation,
+    Surface,
 )
 from rollcast.client.testing import FakeService
 from rollcast.errors import BusyError, ClientError, ProblemError
@@ -38,6 +39,7 @@ def right(frames: list[np.ndarray]) -> None:
         scene = client.simulate("ellipsoid", seed=7)
         assert_type(scene, Simulation)
         assert scene.frames is not None
+        assert_type(scene.surface, Surface | None)
         client.predict(scene.frames[:4], scenario="ellipsoid", final_frame=scene.frames[42])
         assert_type(client.predict_many([frames, scene.frames[:4]], horizon=5), list[Forecast])
         assert_type(client.models(), list[ModelEntry])
