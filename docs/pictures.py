@@ -4,23 +4,36 @@ Needs the environment of the tests (`.venv/test`). Every picture is written to `
 """
 
 import argparse
-import io
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Ellipse, FancyArrowPatch, FancyBboxPatch
-from PIL import Image
+from matplotlib.patches import Circle, FancyArrowPatch
 
+from docs.drawing import (
+    BLUE,
+    GREEN,
+    GREY,
+    GROUND,
+    INK,
+    ORANGE,
+    PALE,
+    PURPLE,
+    STYLE,
+    arrow,
+    box,
+    ellipse,
+    show,
+    write,
+)  # fmt: skip
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
-from rollcast.plot import PALETTE, SIGMAS
-from rollcast.scene import SCENARIOS, Scenario, Scene
+from rollcast.plot import PALETTE
+from rollcast.scene import SCENARIOS, Scenario, Scene, Vector3
 from rollcast.simulation import Sequence, Simulator
 from rollcast.simulation.physics import Material, World
 from rollcast.surfaces import Contact, EllipsoidalBowl, Heightfield
@@ -32,20 +45,8 @@ from training.ground import resting_ground
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs/images"
-ORANGE, BLUE, PURPLE, YELLOW, GREEN = PALETTE
-INK, GREY, PALE = "#222222", "#777777", "#dddddd"
 RADIUS_M = 0.225
 STEPS = 40
-_STYLE: dict[Any, Any] = {
-    "figure.dpi": 110,
-    "savefig.dpi": 100,
-    "font.size": 9.5,
-    "axes.titlesize": 10.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "text.color": INK,
-    "axes.labelcolor": INK,
-}
 
 
 def main() -> None:
@@ -56,9 +57,9 @@ def main() -> None:
     if unknown := sorted(set(names) - PICTURES.keys()):
         parser.error(f"no such pictures: {', '.join(unknown)}")
     for name in names:
-        with mpl.rc_context(_STYLE):
+        with mpl.rc_context(STYLE):
             path = IMAGES / f"{name}.png"
-            _write(PICTURES[name](), path)
+            write(PICTURES[name](), path)
         print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1e3:.0f} kB")
 
 
@@ -68,7 +69,7 @@ def scenarios() -> Figure:
     shown = [("hemisphere", 1, 14), ("ellipsoid", 3, 4), ("heightfield", 1, 22)]
     for axes, (scenario, objects, seed) in zip(figure.subplots(1, 3), shown, strict=True):
         scene = _sequence(scenario, objects, seed)
-        _show(axes, scene.render(384)[OBSERVED_FRAMES - 1])
+        show(axes, scene.render(384)[OBSERVED_FRAMES - 1])
         for ball, way in enumerate(_pixels(scene, 384)):
             colour = "white" if objects == 1 else PALETTE[ball]
             ahead = way[OBSERVED_FRAMES - 1 :]
@@ -85,17 +86,17 @@ def conventions() -> Figure:
     figure = Figure(figsize=(8.4, 3.5), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.35))
     scene = _sequence("hemisphere", 1, 12)
-    _show(left, scene.render(128)[OBSERVED_FRAMES - 1])
+    show(left, scene.render(128)[OBSERVED_FRAMES - 1])
     place = _pixels(scene, 128)[0, OBSERVED_FRAMES - 1]
     outlined = [patheffects.withStroke(linewidth=3, foreground="black")]
     left.set_title("a frame of 128 x 128 pixels", pad=16)
-    arrow = {"arrowstyle": "-|>", "mutation_scale": 13, "linewidth": 2, "clip_on": False}
+    straight = {"arrowstyle": "-|>", "mutation_scale": 13, "linewidth": 2, "clip_on": False}
     for (x, y), name in (((34, 0), "x, pixels"), ((0, 34), "y, pixels")):
-        left.add_patch(FancyArrowPatch((0, 0), (x, y), color=ORANGE, **arrow))
+        left.add_patch(FancyArrowPatch((0, 0), (x, y), color=ORANGE, **straight))
         at = (x + 3, 3) if x else (2, y + 6)
         left.text(*at, name, color=ORANGE, weight="bold", va="center", path_effects=outlined)
     for (x, y), name in (((94, 64), "world x"), ((64, 34), "world y")):
-        left.add_patch(FancyArrowPatch((64, 64), (x, y), color=BLUE, **arrow))
+        left.add_patch(FancyArrowPatch((64, 64), (x, y), color=BLUE, **straight))
         at = (x + 2, y + 8) if x > 64 else (x + 4, y + 2)
         left.text(*at, name, color=BLUE, weight="bold", va="center", path_effects=outlined)
     left.plot(*place, "o", color="white", markersize=6, markeredgecolor="black")
@@ -167,7 +168,6 @@ def energy() -> Figure:
         lost = [100 * _lost_in_four_swings(degrees, int(rate)) for rate in rates]
         label = f"ball let go {degrees}° from the bottom"
         axes.plot(rates * FRAME_RATE_HZ, lost, "o-", color=colour, label=label)
-        print(dict(zip((rates * FRAME_RATE_HZ).tolist(), np.round(lost, 4), strict=True)))
     axes.axvline(360, color=PALE, zorder=0)
     axes.text(372, axes.get_ylim()[1], "360 Hz, as simulated", color=GREY, va="top")
     axes.set(
@@ -193,7 +193,7 @@ def ground() -> Figure:
         true = half_cm * resting_ground(scene.scene)[2]
         state = predictor.encode(frames[None, :OBSERVED_FRAMES]).state
         read = np.where(np.isnan(true), np.nan, half_cm * state["s"][0, 2])
-        _show(row[0], frames[OBSERVED_FRAMES - 1])
+        show(row[0], frames[OBSERVED_FRAMES - 1])
         low, high = np.nanmin(true), np.nanmax(true)
         for axes, values in ((row[1], true), (row[2], read)):
             drawn = axes.imshow(values, cmap="cividis", vmin=low, vmax=high)
@@ -222,9 +222,9 @@ def uncertainty() -> Figure:
         forecast = assemble(roll_out(predictor, frames[None], STEPS), predictor.manifest.covariance)
         truth = _pixels(scene, NETWORK_FRAME_SIZE)[0, OBSERVED_FRAMES - 1 :]
         way, covariances = forecast.positions[0, 0], forecast.covariances[0, 0]
-        _show(axes, frames[-1])
+        show(axes, frames[-1])
         for step in range(4, STEPS, 5):
-            axes.add_patch(_ellipse(way[step], covariances[step], BLUE))
+            axes.add_patch(ellipse(way[step], covariances[step], BLUE))
         axes.plot(*truth.T, color="white", linewidth=2.4)
         axes.plot(*way.T, color=BLUE, linewidth=1.5)
         axes.plot(*truth[-1], "o", color="white", markersize=6, markeredgecolor="black")
@@ -252,24 +252,24 @@ def step() -> Figure:
         axes.imshow(frame, extent=(x, x + 1.7, y, y + 1.7), zorder=2 + index)
     axes.text(1.5, 5.35, "4 frames\nt = -3 .. 0", ha="center", va="center")
     axes.set(xlim=(0, 16.8), ylim=(0, 7))
-    _box(axes, 3.7, 2.7, 2.1, 1.6, "encoder", ORANGE)
+    box(axes, 3.7, 2.7, 2.1, 1.6, "encoder", ORANGE)
     states = (7.0, 10.6, 14.2)
     for index, x in enumerate(states):
         name = ("$h_0$", "$h_1$", "$h_2$")[index]
-        _box(axes, x, 2.7, 1.4, 1.6, f"{name}", BLUE, size=13)
-        _box(axes, x - 0.15, 5.0, 1.7, 0.9, "read-out", GREEN)
-        _arrow(axes, (x + 0.7, 4.3), (x + 0.7, 5.0))
+        box(axes, x, 2.7, 1.4, 1.6, f"{name}", BLUE, size=13)
+        box(axes, x - 0.15, 5.0, 1.7, 0.9, "read-out", GREEN)
+        arrow(axes, (x + 0.7, 4.3), (x + 0.7, 5.0))
         axes.text(x + 0.7, 6.35, ("$y_0$", "$y_1$", "$y_2$")[index], ha="center", va="center",
                   size=13)  # fmt: skip
-    _arrow(axes, (2.9, 3.5), (3.7, 3.5))
-    _arrow(axes, (5.8, 3.5), (7.0, 3.5))
+    arrow(axes, (2.9, 3.5), (3.7, 3.5))
+    arrow(axes, (5.8, 3.5), (7.0, 3.5))
     for left, right in zip(states, (*states[1:], 17.2), strict=True):
         middle = (left + 1.4 + min(right, 16.6)) / 2
         if right < 17:
-            _box(axes, middle - 0.75, 3.05, 1.5, 0.9, "step", PURPLE)
-            _arrow(axes, (left + 1.4, 3.5), (middle - 0.75, 3.5))
-            _arrow(axes, (middle + 0.75, 3.5), (right, 3.5))
-    _arrow(axes, (15.6, 3.5), (16.5, 3.5))
+            box(axes, middle - 0.75, 3.05, 1.5, 0.9, "step", PURPLE)
+            arrow(axes, (left + 1.4, 3.5), (middle - 0.75, 3.5))
+            arrow(axes, (middle + 0.75, 3.5), (right, 3.5))
+    arrow(axes, (15.6, 3.5), (16.5, 3.5))
     axes.text(
         7.0, 1.55,
         "$h_t = (s_t, p_t)$: what is known of every place, and of every ball's motion",
@@ -294,14 +294,6 @@ PICTURES: Mapping[str, Callable[[], Figure]] = {
 }
 
 
-def _write(figure: Figure, path: Path) -> None:
-    """Write a picture as small as it gets without loss."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    with Image.open(buffer) as drawn:
-        drawn.convert("RGB").save(path, optimize=True)
-
-
 def _sequence(scenario: Scenario, objects: int, seed: int) -> Sequence:
     """Return the seen frames of a scene and the second after them."""
     assert scenario in SCENARIOS
@@ -320,44 +312,6 @@ def _pixels(sequence: Sequence, image_size: int) -> np.ndarray:
 
 def _predictor(wish: Wish) -> Predictor:
     return load_registry(ROOT / "models", "fieldnet").choose(wish)
-
-
-def _show(axes: Axes, frame: np.ndarray) -> None:
-    size = len(frame)
-    axes.imshow(frame, extent=(0, size, size, 0), interpolation="bicubic")
-    axes.set(xlim=(0, size), ylim=(size, 0), xticks=[], yticks=[])
-    for spine in axes.spines.values():
-        spine.set_visible(False)
-
-
-def _in_cut(vector: Any, angle: float) -> tuple[float, float, float]:  # noqa: ANN401
-    """Return a vector in axes whose x points along the cut."""
-    x, y, z = map(float, vector)
-    turned = x * math.cos(angle) + y * math.sin(angle), y * math.cos(angle) - x * math.sin(angle)
-    return *turned, z
-
-
-def _cut(axes: Axes, x: np.ndarray, height: np.ndarray) -> None:
-    axes.fill_between(x, height, -1, color="#e8e2d6", linewidth=0)
-    axes.plot(x, height, color=INK, linewidth=1.6)
-
-
-def _ball_on_planes(axes: Axes, centre: Any, contacts: Any, strength: float) -> None:  # noqa: ANN401
-    """Draw a ball, its planes and their normals in the plane of x and z."""
-    x, _, z = centre
-    axes.add_patch(Circle((x, z), RADIUS_M, facecolor="white", edgecolor=INK, alpha=strength))
-    axes.plot(x, z, "o", color=INK, markersize=3, alpha=strength)
-    for point, normal in contacts:
-        (px, _, pz), (nx, _, nz) = point, normal
-        along = 0.3 * np.array([[-nz, nx], [nz, -nx]]) + (px, pz)
-        axes.plot(*along.T, color=ORANGE, linewidth=2.5, alpha=strength, solid_capstyle="round")
-        axes.plot(px, pz, "o", color=ORANGE, markersize=5, alpha=strength)
-        axes.add_patch(
-            FancyArrowPatch(
-                (px, pz), (px + 0.16 * nx, pz + 0.16 * nz), color=BLUE, arrowstyle="-|>",
-                mutation_scale=10, linewidth=1.5, shrinkA=0, shrinkB=0, alpha=strength,
-            )
-        )  # fmt: skip
 
 
 def _tight_place() -> tuple[Heightfield, tuple[float, float, float], float]:
@@ -407,36 +361,35 @@ def _lost_in_four_swings(degrees: float, steps_per_frame: int) -> float:
     return float((exact[0] - exact[8]) / exact[0])
 
 
-def _ellipse(centre: np.ndarray, covariance: np.ndarray, colour: str) -> Ellipse:
-    variances, axes = np.linalg.eigh(covariance)
-    width, height = 2 * SIGMAS * np.sqrt(variances)
-    angle = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0])))
-    return Ellipse(
-        (float(centre[0]), float(centre[1])), float(width), float(height), angle=angle,
-        facecolor=f"{colour}40", edgecolor=colour, linewidth=1,
-    )  # fmt: skip
+def _in_cut(vector: np.ndarray, angle: float) -> tuple[float, float, float]:
+    """Return a vector in axes whose x points along the cut."""
+    x, y, z = map(float, vector)
+    turned = x * math.cos(angle) + y * math.sin(angle), y * math.cos(angle) - x * math.sin(angle)
+    return *turned, z
 
 
-def _box(
-    axes: Axes, x: float, y: float, width: float, height: float, text: str, colour: str,
-    size: float = 10.5,
-) -> None:  # fmt: skip
-    axes.add_patch(
-        FancyBboxPatch(
-            (x, y), width, height, boxstyle="round,pad=0,rounding_size=0.18",
-            facecolor=f"{colour}33", edgecolor=colour, linewidth=1.6,
-        )
-    )  # fmt: skip
-    axes.text(x + width / 2, y + height / 2, text, ha="center", va="center", size=size)
+def _cut(axes: Axes, x: np.ndarray, height: np.ndarray) -> None:
+    """Draw the ground below a line of heights."""
+    axes.fill_between(x, height, -1, color=GROUND, linewidth=0)
+    axes.plot(x, height, color=INK, linewidth=1.6)
 
 
-def _arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
-    axes.add_patch(
-        FancyArrowPatch(
-            start, end, arrowstyle="-|>", mutation_scale=12, color=INK, linewidth=1.2,
-            shrinkA=1, shrinkB=1,
-        )
-    )  # fmt: skip
+def _ball_on_planes(axes: Axes, centre: Vector3, contacts: list[Contact], strength: float) -> None:
+    """Draw a ball, its planes and their normals in the plane of x and z."""
+    x, _, z = centre
+    axes.add_patch(Circle((x, z), RADIUS_M, facecolor="white", edgecolor=INK, alpha=strength))
+    axes.plot(x, z, "o", color=INK, markersize=3, alpha=strength)
+    for point, normal in contacts:
+        (px, _, pz), (nx, _, nz) = point, normal
+        along = 0.3 * np.array([[-nz, nx], [nz, -nx]]) + (px, pz)
+        axes.plot(*along.T, color=ORANGE, linewidth=2.5, alpha=strength, solid_capstyle="round")
+        axes.plot(px, pz, "o", color=ORANGE, markersize=5, alpha=strength)
+        axes.add_patch(
+            FancyArrowPatch(
+                (px, pz), (px + 0.16 * nx, pz + 0.16 * nz), color=BLUE, arrowstyle="-|>",
+                mutation_scale=10, linewidth=1.5, shrinkA=0, shrinkB=0, alpha=strength,
+            )
+        )  # fmt: skip
 
 
 if __name__ == "__main__":

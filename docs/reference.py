@@ -13,17 +13,16 @@ from typing import Any
 from sphinx.pycode import ModuleAnalyzer
 from typer.testing import CliRunner
 
+import rollcast.http
+import rollcast.scene
+import service.protocol
 from rollcast.__main__ import app as commands_app
 from rollcast.http import StreamDone, StreamStep
 from service.errors import ServiceError
 from service.settings import PREFIX, Settings
 
 CONTRACT = "tests/contract/openapi.json"
-BODIES = {
-    "rollcast.http": "rollcast/http.py",
-    "rollcast.scene": "rollcast/scene.py",
-    "service.protocol": "service/protocol.py",
-}
+BODIES = (rollcast.http, rollcast.scene, service.protocol)
 """Modules whose classes are the schemas of the contract: they describe every field."""
 FOLDER = "generated"
 PARTS = "parts"
@@ -53,7 +52,7 @@ def write(root: Path, source: Path) -> None:
         Folder of the site's sources.
     """
     contract = json.loads((root / CONTRACT).read_text(encoding="utf-8"))
-    docs = field_docs(root)
+    docs = field_docs()
     streamed = events()
     pages = {
         f"{PARTS}/settings.md": settings(),
@@ -125,14 +124,22 @@ def commands() -> str:
     return "\n".join(parts)
 
 
-def field_docs(root: Path) -> dict[tuple[str, str], str]:
-    """Read what the code says of the fields of every body."""
-    found: dict[tuple[str, str], str] = {}
-    for module, path in BODIES.items():
-        analyzer = ModuleAnalyzer.for_file(str(root / path), module)
+def field_docs() -> dict[tuple[str, str], str]:
+    """Read what the code says of the fields of every body, its own and those that it inherits."""
+    said: dict[tuple[str, str], str] = {}
+    for module in BODIES:
+        analyzer = ModuleAnalyzer.for_module(module.__name__)
         for place, lines in analyzer.find_attr_docs().items():
-            found[place] = _one_line(" ".join(lines))
-    return found
+            said[place] = _one_line(" ".join(lines))
+    kinds = {name: kind for module in BODIES for name, kind in vars(module).items()}
+    return {
+        (name, field): said[base.__name__, field]
+        for name, kind in kinds.items()
+        if isinstance(kind, type)
+        for base in reversed(kind.__mro__)
+        for owner, field in said
+        if owner == base.__name__
+    }
 
 
 def operations(contract: Json, *, protocol: bool) -> str:
@@ -156,8 +163,9 @@ def _operation(method: str, path: str, operation: Json) -> str:
         rows.append(("body", _contents(body["content"])))
     answers: dict[str, list[str]] = {}
     for status, response in operation["responses"].items():
-        # The protocol's own document says "default" for what its tables leave open.
-        if status != "default":
+        # The protocol's own document says "default" for what its tables leave open, and FastAPI
+        # names a body of its own for 422 that no answer has.
+        if status != "default" and not _HIDDEN & set(_references(response)):
             content = _contents(response.get("content", {})) or response["description"]
             answers.setdefault(content, []).append(status)
     rows += [(", ".join(statuses), content) for content, statuses in answers.items()]
@@ -169,6 +177,8 @@ def _contents(content: Json) -> str:
     by_schema: dict[str, list[str]] = {}
     for media_type, body in content.items():
         by_schema.setdefault(_type(body.get("schema", {})), []).append(f"`{media_type}`")
+    if "text/event-stream" in content:
+        return "[events](#events-of-a-stream), `text/event-stream`"
     return "; ".join(
         f"{kind}, {' or '.join(types)}" if kind else " or ".join(types)
         for kind, types in by_schema.items()
@@ -234,7 +244,9 @@ def _schema(name: str, schema: Json, docs: Docs) -> str:
         for field, kind in schema.get("properties", {}).items()
     ]
     lines = [f"({_label(name)})=", f"### {name}", "", _one_line(schema.get("description", "")), ""]
-    if rows:
+    if rows and not any(meaning for *_, meaning in rows):
+        lines += [_table(("field", "type"), [row[:2] for row in rows]), ""]
+    elif rows:
         lines += [_table(("field", "type", "meaning"), rows), ""]
     return "\n".join(lines)
 
