@@ -47,9 +47,11 @@ class Look:
 def look(frames: UInt8[np.ndarray, "K 128 128 3"]) -> Look:
     """Sum up the four observed frames; a final frame is left out."""
     seen = frames[:OBSERVED_FRAMES]
-    reduced = [np.asarray(Image.fromarray(frame).reduce(SHRINK), np.float32) for frame in seen]
-    small = np.stack(reduced) / 255
-    cells = len(small[0]) // THUMBNAIL
+    side = seen.shape[1] // SHRINK
+    # The frames below each other: Pillow is asked once.
+    column = Image.fromarray(seen.reshape(-1, *seen.shape[2:])).reduce(SHRINK)
+    small = np.asarray(column).reshape(-1, side, side, 3).astype(np.float32) / 255
+    cells = side // THUMBNAIL
     mean = small.mean(axis=0).reshape(THUMBNAIL, cells, THUMBNAIL, cells, 3).mean(axis=(1, 3))
     # Every second pixel and its neighbour to the right tell as much as all.
     left, right = seen[-1, ::2, ::2].astype(np.int16), seen[-1, ::2, 1::2]
@@ -80,12 +82,9 @@ class Familiarity:
 
     def scores(self, seen: Look) -> Float64[np.ndarray, " kinds"]:
         """Distance from every kind: root of the mean square of the whitened numbers."""
-        whitened = [
-            self.whitening[kind]
-            @ (summed_up(seen, self.thumbnail[kind], self.components[kind]) - self.mean[kind])
-            for kind in range(len(self.mean))
-        ]
-        return np.sqrt(np.mean(np.stack(whitened).astype(np.float64) ** 2, axis=-1))
+        numbers = summed_up(seen, self.thumbnail, self.components) - self.mean
+        whitened = (self.whitening @ numbers[..., None])[..., 0]
+        return np.sqrt(np.mean(whitened.astype(np.float64) ** 2, axis=-1))
 
     @classmethod
     def read(cls, path: Path) -> "Familiarity":
@@ -100,9 +99,9 @@ class Familiarity:
 
 def summed_up(
     seen: Look,
-    thumbnail: Float32[np.ndarray, " 192"],
-    components: Float32[np.ndarray, "parts 192"],
-) -> Float32[np.ndarray, " numbers"]:
+    thumbnail: Float32[np.ndarray, "*kinds 192"],
+    components: Float32[np.ndarray, "*kinds parts 192"],
+) -> Float32[np.ndarray, "*kinds numbers"]:
     """Return the numbers of a look: along the components, the unexplained rest, the texture.
 
     Parameters
@@ -113,6 +112,11 @@ def summed_up(
         Their principal components, orthonormal.
     """
     difference = seen.thumbnail - thumbnail
-    parts = components @ difference
-    rest = np.linalg.norm(difference - parts @ components)
-    return np.concatenate([parts, [np.log(rest + FLOOR)], seen.texture]).astype(np.float32)
+    parts = (components @ difference[..., None])[..., 0]
+    # What orthonormal components leave, by Pythagoras.
+    rest = np.sum(difference**2, axis=-1) - np.sum(parts**2, axis=-1)
+    numbers = np.empty((*parts.shape[:-1], parts.shape[-1] + 1 + len(seen.texture)), np.float32)
+    numbers[..., : parts.shape[-1]] = parts
+    numbers[..., parts.shape[-1]] = np.log(np.sqrt(np.maximum(rest, 0)) + FLOOR)
+    numbers[..., parts.shape[-1] + 1 :] = seen.texture
+    return numbers
