@@ -113,10 +113,9 @@ def summed_up(
     """
     difference = seen.thumbnail - thumbnail
     parts = (components @ difference[..., None])[..., 0]
-    # What orthonormal components leave, by Pythagoras.
-    rest = np.sum(difference**2, axis=-1) - np.sum(parts**2, axis=-1)
+    rest = difference - (parts[..., None, :] @ components)[..., 0, :]
     numbers = np.empty((*parts.shape[:-1], parts.shape[-1] + 1 + len(seen.texture)), np.float32)
     numbers[..., : parts.shape[-1]] = parts
-    numbers[..., parts.shape[-1]] = np.log(np.sqrt(np.maximum(rest, 0)) + FLOOR)
+    numbers[..., parts.shape[-1]] = np.log(np.linalg.norm(rest, axis=-1) + FLOOR)
     numbers[..., parts.shape[-1] + 1 :] = seen.texture
     return numbers
