@@ -25,10 +25,13 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def write(figure: Figure, path: Path) -> None:
+def write(picture: Figure | Image.Image, path: Path) -> None:
     """Write a picture as small as it gets without loss."""
+    if isinstance(picture, Image.Image):
+        picture.save(path, optimize=True)
+        return
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
+    picture.savefig(buffer, format="png", metadata={"Software": None})
     with Image.open(buffer) as drawn:
         drawn.convert("RGB").save(path, optimize=True)
 

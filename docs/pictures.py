@@ -7,20 +7,19 @@ import argparse
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib import patheffects
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, FancyArrowPatch
+from matplotlib.patches import FancyArrowPatch
+from PIL import Image
 
 from docs.drawing import (
     BLUE,
     GREEN,
     GREY,
-    GROUND,
-    INK,
     ORANGE,
     PALE,
     PURPLE,
@@ -31,12 +30,11 @@ from docs.drawing import (
     show,
     write,
 )  # fmt: skip
+from docs.physics import contact, energy
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
-from rollcast.plot import PALETTE
-from rollcast.scene import SCENARIOS, Scenario, Scene, Vector3
+from rollcast.plot import PALETTE, draw_forecast
+from rollcast.scene import SCENARIOS, Scenario
 from rollcast.simulation import Sequence, Simulator
-from rollcast.simulation.physics import Material, World
-from rollcast.surfaces import Contact, EllipsoidalBowl, Heightfield
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 from service.loading import load_registry
 from service.registry import Wish
@@ -45,8 +43,9 @@ from training.ground import resting_ground
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs/images"
-RADIUS_M = 0.225
 STEPS = 40
+HERO_FRAME_PX, HERO_PX = 360, (1050, 420)
+"""Of the first picture, whose many edges would be large without a palette."""
 
 
 def main() -> None:
@@ -61,6 +60,25 @@ def main() -> None:
             path = IMAGES / f"{name}.png"
             write(PICTURES[name](), path)
         print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1e3:.0f} kB")
+
+
+def forecast() -> Image.Image:
+    """Draw a forecast as ``rollcast predict`` does, over the frames that followed."""
+    predictor = _predictor(Wish())
+    sequence = _sequence("ellipsoid", 1, 7, start_step=160)
+    seen = sequence.render(NETWORK_FRAME_SIZE)[None, :OBSERVED_FRAMES]
+    made = assemble(roll_out(predictor, seen, STEPS), predictor.manifest.covariance)
+    made = made.rescaled(HERO_FRAME_PX / NETWORK_FRAME_SIZE, 1)
+    shown = np.linspace(0, STEPS - 1, 7).round().astype(int)
+    times_s = np.arange(STEPS) / FRAME_RATE_HZ
+    path = SimpleNamespace(
+        positions=made.positions[0], covariances=made.covariances[0], times_s=times_s
+    )
+    frames = sequence.render(HERO_FRAME_PX)[OBSERVED_FRAMES - 1 :]
+    sheet = draw_forecast(frames[shown], times_s[shown], path)
+    return sheet.resize(HERO_PX, Image.Resampling.LANCZOS).quantize(
+        256, kmeans=4, dither=Image.Dither.NONE
+    )
 
 
 def scenarios() -> Figure:
@@ -124,60 +142,6 @@ def conventions() -> Figure:
         ha="center", va="center",
     )  # fmt: skip
     right.set_title("steps, 40 a second")
-    return figure
-
-
-def contact() -> Figure:
-    """Draw the planes that follow a ball, in a cut through a bowl and one through a heightfield."""
-    figure = Figure(figsize=(8.4, 2.5), layout="constrained")
-    bowl_axes, field_axes = figure.subplots(1, 2)
-    x = np.linspace(-1, 1, 400)
-    bowl = EllipsoidalBowl(1.0, 0.0)
-    _cut(bowl_axes, x, bowl.height_and_normal(x, 0 * x)[0])
-    way = 1 - RADIUS_M
-    for degrees, strength in ((-52, 0.3), (-30, 0.55), (-8, 1.0)):
-        angle = math.radians(degrees)
-        centre = (way * math.sin(angle), 0.0, 1 - way * math.cos(angle))
-        _ball_on_planes(bowl_axes, centre, bowl.contacts(centre, RADIUS_M), strength)
-    bowl_axes.set(xlim=(-1.06, 1.06), ylim=(-0.08, 1.014), title="in a bowl: one plane")
-    field, centre, angle = _tight_place()
-    along = np.linspace(-0.7, 0.7, 500)
-    x, y = centre[0] + along * math.cos(angle), centre[1] + along * math.sin(angle)
-    _cut(field_axes, along, field.height_and_normal(x, y)[0] - centre[2])
-    near = [
-        Contact(*(_in_cut(part, angle) for part in (np.subtract(one.point, centre), one.normal)))
-        for one in field.contacts(centre, RADIUS_M)
-    ]
-    _ball_on_planes(field_axes, (0.0, 0.0, 0.0), near, 1.0)
-    field_axes.set(
-        xlim=(-0.62, 0.62), ylim=(-0.325, 0.315),
-        title="on tight ground: one for every near point",
-    )  # fmt: skip
-    for axes in (bowl_axes, field_axes):
-        axes.set_aspect("equal")
-        axes.axis("off")
-    return figure
-
-
-def energy() -> Figure:
-    """Draw the height that a ball loses where nothing brakes, for smaller and smaller steps."""
-    figure = Figure(figsize=(5.2, 3.2), layout="constrained")
-    axes = figure.subplots()
-    rates = np.array([4, 6, 9, 14, 20, 30])
-    for degrees, colour in ((40, BLUE), (25, ORANGE)):
-        lost = [100 * _lost_in_four_swings(degrees, int(rate)) for rate in rates]
-        label = f"ball let go {degrees}° from the bottom"
-        axes.plot(rates * FRAME_RATE_HZ, lost, "o-", color=colour, label=label)
-    axes.axvline(360, color=PALE, zorder=0)
-    axes.text(372, axes.get_ylim()[1], "360 Hz, as simulated", color=GREY, va="top")
-    axes.set(
-        xscale="log", yscale="log", xlabel="steps a second",
-        ylabel="height lost in four swings, %", xticks=rates * FRAME_RATE_HZ,
-    )  # fmt: skip
-    axes.xaxis.set_major_formatter("{x:.0f}")
-    axes.xaxis.set_minor_locator(mpl.ticker.NullLocator())
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.legend(frameon=False, loc="lower left")
     return figure
 
 
@@ -283,7 +247,8 @@ def step() -> Figure:
     return figure
 
 
-PICTURES: Mapping[str, Callable[[], Figure]] = {
+PICTURES: Mapping[str, Callable[[], Figure | Image.Image]] = {
+    "forecast": forecast,
     "scenarios": scenarios,
     "conventions": conventions,
     "contact": contact,
@@ -294,12 +259,14 @@ PICTURES: Mapping[str, Callable[[], Figure]] = {
 }
 
 
-def _sequence(scenario: Scenario, objects: int, seed: int) -> Sequence:
+def _sequence(
+    scenario: Scenario, objects: int, seed: int, start_step: int | None = None
+) -> Sequence:
     """Return the seen frames of a scene and the second after them."""
     assert scenario in SCENARIOS
     simulator = Simulator()
     try:
-        return simulator.sequence(scenario, objects, seed, OBSERVED_FRAMES - 1 + STEPS)
+        return simulator.sequence(scenario, objects, seed, OBSERVED_FRAMES - 1 + STEPS, start_step)
     finally:
         simulator.close()
 
@@ -312,84 +279,6 @@ def _pixels(sequence: Sequence, image_size: int) -> np.ndarray:
 
 def _predictor(wish: Wish) -> Predictor:
     return load_registry(ROOT / "models", "fieldnet").choose(wish)
-
-
-def _tight_place() -> tuple[Heightfield, tuple[float, float, float], float]:
-    """Return a heightfield, a resting place with two contacts, and the direction of the cut."""
-    best = None
-    for offset in np.arange(-1.5, 1.5, 0.5).tolist():
-        field = Heightfield(0.25, (offset, 0.37), 0.0)
-        for x, y in np.mgrid[-0.8:0.8:0.05, -0.8:0.8:0.05].reshape(2, -1).T.tolist():
-            centre = (x, y, field.resting_height(x, y, RADIUS_M))
-            near = field.contacts(centre, RADIUS_M)
-            if len(near) != 2 or math.dist(near[1].point, centre) > RADIUS_M + 4e-3:
-                continue
-            one, other = (np.array(contact.point[:2]) - (x, y) for contact in near)
-            direction = (other - one) / np.linalg.norm(other - one)
-            aside = abs(one[0] * direction[1] - one[1] * direction[0])
-            balance = abs(np.linalg.norm(one) - np.linalg.norm(other))
-            if best is None or aside + balance < best[0]:
-                angle = math.atan2(direction[1], direction[0])
-                best = (aside + balance, field, centre, angle)
-    assert best is not None
-    return best[1:]
-
-
-def _lost_in_four_swings(degrees: float, steps_per_frame: int) -> float:
-    """Return the share of its height that a ball loses in four swings without resistance."""
-    bowl = EllipsoidalBowl(1.0, 0.0)
-    place = bowl.point_at(math.pi - math.radians(degrees), 0.3)
-    centre = np.asarray(place.point) + RADIUS_M * np.asarray(place.normal)
-    scene = Scene.model_validate(
-        {
-            "scenario": "hemisphere", "seed": 0, "textured": False, "radius_m": RADIUS_M,
-            "rotation_rad": 0.0, "axis_ratio": 1.0, "positions_m": (tuple(centre.tolist()),),
-            "velocities_m_s": ((0.0, 0.0, 0.0),), "orientations_xyzw": ((0.0, 0.0, 0.0, 1.0),),
-        }
-    )  # fmt: skip
-    world = World(Material(rolling_resistance=0, damping=0), steps_per_frame)
-    world.load(scene)
-    heights = []
-    for _ in range(400):
-        world.step_frame()
-        heights.append(world.state().centres[0][2] - RADIUS_M)
-    world.close()
-    z = np.array(heights)
-    tops = np.flatnonzero((z[1:-1] > z[:-2]) & (z[1:-1] >= z[2:])) + 1
-    slope, bend = (z[tops + 1] - z[tops - 1]) / 2, z[tops + 1] - 2 * z[tops] + z[tops - 1]
-    exact = z[tops] - slope**2 / (2 * bend)
-    return float((exact[0] - exact[8]) / exact[0])
-
-
-def _in_cut(vector: np.ndarray, angle: float) -> tuple[float, float, float]:
-    """Return a vector in axes whose x points along the cut."""
-    x, y, z = map(float, vector)
-    turned = x * math.cos(angle) + y * math.sin(angle), y * math.cos(angle) - x * math.sin(angle)
-    return *turned, z
-
-
-def _cut(axes: Axes, x: np.ndarray, height: np.ndarray) -> None:
-    """Draw the ground below a line of heights."""
-    axes.fill_between(x, height, -1, color=GROUND, linewidth=0)
-    axes.plot(x, height, color=INK, linewidth=1.6)
-
-
-def _ball_on_planes(axes: Axes, centre: Vector3, contacts: list[Contact], strength: float) -> None:
-    """Draw a ball, its planes and their normals in the plane of x and z."""
-    x, _, z = centre
-    axes.add_patch(Circle((x, z), RADIUS_M, facecolor="white", edgecolor=INK, alpha=strength))
-    axes.plot(x, z, "o", color=INK, markersize=3, alpha=strength)
-    for point, normal in contacts:
-        (px, _, pz), (nx, _, nz) = point, normal
-        along = 0.3 * np.array([[-nz, nx], [nz, -nx]]) + (px, pz)
-        axes.plot(*along.T, color=ORANGE, linewidth=2.5, alpha=strength, solid_capstyle="round")
-        axes.plot(px, pz, "o", color=ORANGE, markersize=5, alpha=strength)
-        axes.add_patch(
-            FancyArrowPatch(
-                (px, pz), (px + 0.16 * nx, pz + 0.16 * nz), color=BLUE, arrowstyle="-|>",
-                mutation_scale=10, linewidth=1.5, shrinkA=0, shrinkB=0, alpha=strength,
-            )
-        )  # fmt: skip
 
 
 if __name__ == "__main__":
