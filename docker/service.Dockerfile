@@ -1,7 +1,7 @@
 # The service with its models, without torch.
 #
-#   docker build -f docker/service.Dockerfile -t rollcast .
-#   docker run --read-only --tmpfs /tmp -p 127.0.0.1:8000:8000 rollcast
+#   docker build -f docker/service.Dockerfile -t rollcast-service .
+#   docker run --read-only --tmpfs /tmp -p 127.0.0.1:8000:8000 rollcast-service
 #
 # With Ray, for docker/kubernetes/ray.yaml:
 #

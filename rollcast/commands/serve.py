@@ -47,7 +47,7 @@ def serve(
         container_command(host, port),
         [
             "the service is not part of the package; this starts its container, built in a "
-            "checkout with docker build -f docker/service.Dockerfile -t rollcast ."
+            "checkout with docker build -f docker/service.Dockerfile -t rollcast-service ."
         ],
         code=1,
     )
@@ -60,7 +60,7 @@ def is_checkout(root: Path) -> bool:
 
 def container_command(host: str, port: int) -> str:
     """Return the command that starts the service's container."""
-    return f"docker run --rm --read-only --tmpfs /tmp -p {host}:{port}:8000 rollcast"
+    return f"docker run --rm --read-only --tmpfs /tmp -p {host}:{port}:8000 rollcast-service"
 
 
 def _python(root: Path) -> str:
