@@ -30,8 +30,7 @@ NOT_RUN = {
     ("research.md", "python -m training simulate hemisphere --scenes 1000 --split training"): HOURS,
     (
         "research.md",
-        "python -m training evaluate --all        # docs/results: tables, curves, ellipses; "
-        "an hour or so",
+        "python -m training evaluate --all        # docs/results: tables, curves, ellipses",
     ): HOURS,
     ("research.md", "python -m training train field-one-ball"): HOURS,
 }
