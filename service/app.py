@@ -93,6 +93,7 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
     install_access_log(app, settings.replica)
     for feature in (predict, simulate, models, inference, repository, health, metrics, home):
         app.include_router(feature.router)
+    home.install_static_files(app)
     return app
 
 

@@ -1,0 +1,115 @@
+/** The form of choices: what the user does with it, and what it says. */
+
+import { byId } from "./dom.js";
+import { finalStepOf, isServed, showModels, stillFitting } from "./models.js";
+
+const SCENARIOS = ["hemisphere", "ellipsoid", "heightfield"];
+const RADIOS = { source: String, scenario: String, balls: Number };
+
+/**
+ * @param {ReturnType<typeof import("./state.js").createStore>} store of choices
+ */
+export function installControls(store) {
+  for (const [name, read] of Object.entries(RADIOS)) {
+    for (const radio of document.querySelectorAll(`input[name="${name}"]`)) {
+      radio.addEventListener("change", () => store.set({ [name]: read(radio.value) }));
+    }
+  }
+  byId("seed").addEventListener("change", () => store.set({ seed: byId("seed").value.trim() }));
+  byId("dice").addEventListener("click", () => {
+    store.set({ seed: String(Math.floor(Math.random() * 100_000)) });
+  });
+  byId("horizon").addEventListener("input", () => showHorizon(Number(byId("horizon").value)));
+  byId("horizon").addEventListener("change", () => {
+    store.set({ horizon: Number(byId("horizon").value) });
+  });
+  byId("final").addEventListener("change", () => store.set({ finalFrame: byId("final").checked }));
+  for (const name of ["ellipses", "truth"]) {
+    byId(name).addEventListener("change", () => store.set({ [name]: byId(name).checked }));
+  }
+  byId("split").addEventListener("change", () => {
+    store.set({ layout: byId("split").checked ? "split" : "overlay" });
+  });
+  byId("speed").addEventListener("change", () => store.set({ speed: Number(byId("speed").value) }));
+  byId("fold").addEventListener("click", () => {
+    const open = byId("controls").classList.toggle("open");
+    byId("fold").setAttribute("aria-expanded", String(open));
+  });
+}
+
+/**
+ * Choices as they can be: what nobody serves is given up.
+ * @param {import("./state.js").Choices} choices
+ */
+export function possible(choices, entries) {
+  const change = {};
+  const source = { ...choices };
+  if (!isServed(entries, { ...source, finalFrame: false }) && entries.length) {
+    change.balls = source.balls = 1;
+  }
+  if (choices.finalFrame && !isServed(entries, source)) {
+    change.finalFrame = source.finalFrame = false;
+  }
+  const models = stillFitting(choices.models, entries, source);
+  if (models.join() !== choices.models.join()) change.models = models;
+  return change;
+}
+
+/** Make the form say what is chosen. */
+export function showControls(choices, entries, store) {
+  for (const name of Object.keys(RADIOS)) {
+    for (const radio of document.querySelectorAll(`input[name="${name}"]`)) {
+      radio.checked = radio.value === String(choices[name]);
+    }
+  }
+  if (document.activeElement !== byId("seed")) byId("seed").value = choices.seed;
+  byId("scene-controls").hidden = choices.source !== "scene";
+  byId("footage-controls").hidden = choices.source !== "footage";
+  for (const name of ["ellipses", "truth"]) byId(name).checked = choices[name];
+  byId("truth").disabled = choices.source === "footage";
+  byId("split").checked = choices.layout === "split";
+  byId("split").disabled = choices.models.length < 2;
+  byId("speed").value = String(choices.speed);
+  showBalls(choices, entries);
+  showFinal(choices, entries);
+  showModels(entries, choices, (models) => store.set({ models }));
+  byId("summary").textContent = summaryOf(choices);
+}
+
+function showBalls(choices, entries) {
+  const served = (balls) => isServed(entries, { ...choices, balls, finalFrame: false });
+  for (const balls of [1, 2, 3]) byId(`balls-${balls}`).disabled = !served(balls);
+  const absent = [2, 3].filter((balls) => !served(balls));
+  const elsewhere = SCENARIOS.filter((scenario) =>
+    absent.some((balls) => isServed(entries, { ...choices, scenario, balls, finalFrame: false })),
+  );
+  byId("balls-hint").hidden = !absent.length || !entries.length;
+  byId("balls-hint").textContent = elsewhere.length
+    ? `For ${absent.join(" and ")} balls there are models of the ${elsewhere.join(" and the ")} alone.`
+    : `No model for ${absent.join(" or ")} balls is served.`;
+}
+
+function showFinal(choices, entries) {
+  const finalStep = finalStepOf(entries, choices);
+  byId("final").checked = choices.finalFrame;
+  byId("final").disabled = finalStep === null;
+  byId("final-hint").textContent =
+    finalStep === null
+      ? "No model that is served takes one."
+      : choices.finalFrame
+        ? `It shows step ${finalStep}, so the horizon is ${finalStep + 1} steps.`
+        : "";
+  byId("horizon").disabled = choices.finalFrame;
+  const horizon = choices.finalFrame ? finalStep + 1 : choices.horizon;
+  byId("horizon").value = String(horizon);
+  showHorizon(horizon);
+}
+
+function showHorizon(steps) {
+  byId("horizon-text").textContent = `${steps} steps, ${(steps / 40).toFixed(2)} s`;
+}
+
+function summaryOf({ source, scenario, seed, balls, models }) {
+  const what = source === "scene" ? `${scenario}, seed ${seed}` : "your footage";
+  return `${what} · ${balls} ${balls === 1 ? "ball" : "balls"} · ${models.join(", ")}`;
+}

@@ -1,0 +1,271 @@
+/** The page: its parts, and what each of them tells the others. */
+
+import { health, LostService, models, ServiceProblem } from "./api.js";
+import { Bring } from "./bring.js";
+import { Chart } from "./chart.js";
+import { installControls, possible, showControls } from "./controls.js";
+import { byId } from "./dom.js";
+import { signedSeconds } from "./figures.js";
+import { clearMessages, showError, showWait } from "./messages.js";
+import { finalStepOf } from "./models.js";
+import { Player } from "./player.js";
+import { showFigures, showHealth, showLegend, showNotes } from "./readout.js";
+import { Session } from "./session.js";
+import { installSharing } from "./sharing.js";
+import { phaseOf, Stage } from "./stage.js";
+import { choicesFrom, createStore, fragmentOf, LAST_SEEN } from "./state.js";
+import { Surface3d } from "./surface3d.js";
+import { installTheme } from "./theme.js";
+import { installTransport, showTransport } from "./transport.js";
+
+const HEALTH_EVERY_MS = 5000;
+/** Choices that only change how things are drawn; all others ask the service anew. */
+const LOOKS = ["layout", "ellipses", "truth", "speed"];
+const CALM = matchMedia("(prefers-reduced-motion: reduce)");
+
+const store = createStore(choicesFrom(location.hash));
+let entries = [];
+/** Whether the crop is being chosen, and no forecast is shown. */
+let editing = false;
+
+const stage = new Stage();
+const player = new Player(showMoment);
+const chart = new Chart((timeS) => {
+  player.pause();
+  player.seek(LAST_SEEN + timeS * (session.take?.rate ?? 40));
+});
+const surface = new Surface3d();
+const session = new Session({
+  changed: requestShow,
+  waiting: showWait,
+  answered: clearMessages,
+});
+const bring = new Bring({
+  opened() {
+    clearMessages();
+    if (store.get().source === "footage") edit();
+    else store.set({ source: "footage" });
+  },
+  changed() {
+    if (!editing) edit();
+  },
+  failed: (error) => showError(error),
+  canvas: () => stage.single(),
+});
+
+/** What /predict is asked besides frames and model. */
+function requestOf(choices) {
+  const horizon = session.finalIndex === null ? choices.horizon : session.finalIndex - LAST_SEEN + 1;
+  const request = { horizon, objects: choices.balls };
+  if (choices.source === "scene") return { ...request, scenario: choices.scenario };
+  return { ...request, frame_rate: Number(session.take.rate.toFixed(4)) };
+}
+
+/** What the run that is underway was asked: Enter in a field changes and submits at once. */
+let running = null;
+
+async function run() {
+  const choices = store.get();
+  const asked = JSON.stringify(choices);
+  if (running === asked || (choices.source === "footage" && !bring.footage)) return;
+  running = asked;
+  const signal = session.begin();
+  const finalStep = choices.finalFrame ? finalStepOf(entries, choices) : null;
+  session.finalIndex = finalStep === null ? null : finalStep + LAST_SEEN;
+  const horizon = finalStep === null ? choices.horizon : finalStep + 1;
+  player.pause();
+  clearMessages();
+  try {
+    let others = null;
+    if (choices.source === "scene") {
+      showBusy("Simulating the scene …");
+      await session.scene(choices, horizon + LAST_SEEN, signal);
+    } else {
+      showBusy("Taking the frames out of your footage …");
+      others = await session.footage(bring.footage, bring.wanted, session.finalIndex, signal);
+    }
+    leaveEditing();
+    begin(choices, horizon);
+    const forecasts = session.forecast(choices.models, requestOf(choices), signal);
+    showBusy(null);
+    await Promise.all([forecasts, others?.(horizon - 1 + LAST_SEEN)]);
+    showHealth("ready");
+  } catch (error) {
+    if (error.name === "AbortError") return;
+    showBusy(null);
+    showError(error, error instanceof ServiceProblem && error.problem.status === 422 ? undefined : run);
+    if (error instanceof LostService) showHealth("lost");
+  } finally {
+    if (!signal.aborted) {
+      running = null;
+      requestShow();
+    }
+  }
+}
+
+/** Set the clock to the beginning of what has just come. */
+function begin(choices, horizon) {
+  player.last = horizon - 1 + LAST_SEEN;
+  player.arrived = LAST_SEEN;
+  player.framesPerSecond = session.take.rate;
+  player.speed = choices.speed;
+  session.forecasts = [];
+  stage.showSeen(session.take, session.finalIndex);
+  player.seek(0);
+  if (CALM.matches) player.seek(player.last);
+  else player.play();
+}
+
+function edit() {
+  stop();
+  editing = true;
+  session.take = null;
+  session.forecasts = [];
+  player.pause();
+  showBusy(null);
+  byId("stage").dataset.mode = "editing";
+  byId("stage-title").textContent = "Choose where it begins, and the square";
+  requestShow();
+  bring.edit();
+}
+
+/** End what is underway. */
+function stop() {
+  session.begin();
+  running = null;
+}
+
+function leaveEditing() {
+  editing = false;
+  bring.leave();
+  delete byId("stage").dataset.mode;
+}
+
+let requested = 0;
+/** Show everything anew, once a frame of the screen however much has come. */
+function requestShow() {
+  cancelAnimationFrame(requested);
+  requested = requestAnimationFrame(show);
+}
+
+function show() {
+  const { take, forecasts } = session;
+  const choices = store.get();
+  const truth = take?.truth ?? null;
+  const steps = forecasts.map(({ times, state }) => (state === "failed" ? Infinity : times.length));
+  const least = Math.min(...(steps.length ? steps : [1]));
+  player.arrived = LAST_SEEN - 1 + (least === Infinity ? player.last : least);
+  showLegend(forecasts, truth !== null);
+  showNotes(take, forecasts);
+  chart.show(forecasts, truth, take ? (player.last - LAST_SEEN) / take.rate : 1);
+  surface.show(take, forecasts);
+  sharing.show(forecasts.length > 0 && forecasts.every(({ state }) => state === "done"));
+  byId("recrop").hidden = !(choices.source === "footage" && take);
+  if (take) {
+    byId("stage-title").textContent = take.title;
+    byId("stage").dataset.state = forecasts.map(({ state }) => state).join(" ");
+  }
+  showMoment(player.index);
+}
+
+function showMoment(index) {
+  const { take, forecasts } = session;
+  showTransport(player, take);
+  if (!take) {
+    showFigures([], null, 0);
+    return;
+  }
+  stage.show(take, forecasts, store.get(), index);
+  showFigures(forecasts, take.truth, index);
+  const timeS = (index - LAST_SEEN) / take.rate;
+  byId("badge").textContent =
+    index <= LAST_SEEN ? phaseOf(index) : take.frames[index] ? signedSeconds(timeS) : `${signedSeconds(timeS)}, no footage`;
+  byId("badge").dataset.phase = index <= LAST_SEEN ? "seen" : "forecast";
+  chart.mark(timeS);
+  surface.mark(index);
+}
+
+function showBusy(text) {
+  byId("busy").hidden = text === null;
+  byId("busy-text").textContent = text ?? "";
+}
+
+store.subscribe((choices, before) => {
+  const change = possible(choices, entries);
+  if (Object.keys(change).length) {
+    store.set(change);
+    return;
+  }
+  history.replaceState(null, "", `#${fragmentOf(choices)}`);
+  showControls(choices, entries, store);
+  player.speed = choices.speed;
+  const asked = (all) => JSON.stringify({ ...all, ...Object.fromEntries(LOOKS.map((name) => [name, 0])) });
+  if (asked(choices) === asked(lastShown ?? before)) requestShow();
+  else if (choices.source === "footage") {
+    if (bring.footage && (editing || before.source !== "footage")) edit();
+    else if (bring.footage) run();
+    else empty();
+  } else {
+    leaveEditing();
+    run();
+  }
+  lastShown = choices;
+});
+/** The choices that the page showed last: some changes take several steps. */
+let lastShown = null;
+
+/** Nothing has been brought yet. */
+function empty() {
+  stop();
+  session.take = null;
+  session.forecasts = [];
+  player.pause();
+  showBusy(null);
+  byId("stage").dataset.mode = "empty";
+  byId("stage-title").textContent = "Bring a video, or at least four images";
+  requestShow();
+}
+
+const sharing = installSharing(() => ({
+  session,
+  choices: store.get(),
+  request: session.take && requestOf(store.get()),
+  index: player.index,
+  last: player.last,
+}));
+installControls(store);
+installTransport(player);
+installTheme(() => {
+  chart.recolour();
+  surface.recolour();
+});
+byId("controls").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const seed = byId("seed").value.trim();
+  if (seed !== store.get().seed) store.set({ seed });
+  else run();
+});
+byId("recrop").addEventListener("click", edit);
+byId("surface-reset").addEventListener("click", () => surface.reset());
+new ResizeObserver(() => (editing ? bring.edit() : requestShow())).observe(byId("panels"));
+
+/** Look after the service: when it comes back, or has just begun, the page goes on by itself. */
+async function watch() {
+  const status = await health();
+  const was = byId("health").dataset.status;
+  showHealth(status);
+  if (status === "ready" && (was !== "ready" || !entries.length)) {
+    try {
+      entries = await models();
+      Object.assign(store.get(), possible(store.get(), entries));
+      showControls(store.get(), entries, store);
+      if (!session.take && store.get().source === "scene") run();
+    } catch (error) {
+      showError(error, watch);
+    }
+  }
+  setTimeout(watch, status === "ready" ? HEALTH_EVERY_MS : HEALTH_EVERY_MS / 5);
+}
+
+showControls(store.get(), entries, store);
+watch();

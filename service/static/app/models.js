@@ -1,0 +1,104 @@
+/** Which of the service's models fit what is asked, and the list to choose up to three from. */
+
+import { byId, make } from "./dom.js";
+import { MARKS } from "./palette.js";
+import { MOST_MODELS } from "./state.js";
+
+export const AUTO = "auto";
+
+/**
+ * Models that can answer, those with the lowest validation error first.
+ * @param {object[]} entries of GET /models
+ * @param {import("./state.js").Choices} choices
+ */
+export function fitting(entries, { source, scenario, balls, finalFrame }) {
+  return entries
+    .filter(
+      (entry) =>
+        entry.status === "ready" &&
+        entry.objects === balls &&
+        entry.frames === (finalFrame ? 5 : 4) &&
+        (source === "footage" || entry.scenarios.includes(scenario)),
+    )
+    .sort((a, b) => errorOf(a) - errorOf(b));
+}
+
+/** Whether anything is served for a number of balls in a scenario. */
+export function isServed(entries, choices) {
+  return fitting(entries, choices).length > 0;
+}
+
+/** A bare name means the default version. */
+export function labelOf(entry) {
+  return entry.default ? entry.name : `${entry.name}@${entry.version}`;
+}
+
+/** The step that a final frame shows, for a number of balls; null where no model takes one. */
+export function finalStepOf(entries, choices) {
+  const [entry] = fitting(entries, { ...choices, finalFrame: true });
+  return entry?.final_step ?? null;
+}
+
+/** Keep of the chosen models those that fit; one at least, each once. */
+export function stillFitting(chosen, entries, choices) {
+  const known = new Set([AUTO, ...fitting(entries, choices).map(labelOf)]);
+  const kept = [...new Set(chosen)].filter((name) => known.has(name)).slice(0, MOST_MODELS);
+  return kept.length ? kept : [AUTO];
+}
+
+function errorOf(entry) {
+  return entry.metrics?.validation_error_px ?? Infinity;
+}
+
+/**
+ * Show the list.
+ * @param {(chosen: string[]) => void} chose
+ */
+export function showModels(entries, choices, chose) {
+  const rows = [
+    { name: AUTO, about: "the best that fits" },
+    ...fitting(entries, choices).map((entry) => ({
+      name: labelOf(entry),
+      about: `${errorOf(entry).toFixed(2)} px`,
+      title: `${entry.variant}, ${entry.preset}: mean error on validation scenes up to its trained horizon of ${entry.trained_horizon} steps, in 128-pixel frames`,
+    })),
+  ];
+  const list = byId("models");
+  const focused = document.activeElement?.closest("#models") && document.activeElement.value;
+  list.replaceChildren(...rows.map((row) => rowOf(row, choices.models, chose)));
+  if (focused) list.querySelector(`input[value="${focused}"]`)?.focus();
+  showRefused(entries);
+}
+
+function rowOf({ name, about, title = "" }, chosen, chose) {
+  const slot = chosen.indexOf(name);
+  const box = make("input", {
+    type: "checkbox",
+    name: "model",
+    value: name,
+    checked: slot >= 0,
+    disabled: slot < 0 && chosen.length >= MOST_MODELS,
+  });
+  box.addEventListener("change", () => {
+    const others = chosen.filter((other) => other !== name);
+    const next = box.checked ? [...others, name] : others;
+    box.checked ||= next.length === 0; // somebody has to answer
+    if (next.length) chose(next);
+  });
+  const chip = make("span", { class: "chip", "aria-hidden": "true" }, MARKS[slot] ?? "");
+  if (slot >= 0) chip.dataset.slot = String(slot);
+  return make(
+    "label",
+    { title },
+    box,
+    chip,
+    make("span", { class: "model-name" }, name),
+    make("span", { class: "model-about" }, about),
+  );
+}
+
+function showRefused(entries) {
+  const absent = entries.filter((entry) => entry.status !== "ready");
+  const text = absent.map((entry) => `${entry.name}@${entry.version} is ${entry.status}`).join(", ");
+  byId("refused").textContent = text ? `Not served: ${text}.` : "";
+}

@@ -1,0 +1,77 @@
+/** Words and figures around the pictures: legend, table, notes, controls' texts. */
+
+import { byId, make } from "./dom.js";
+import { curvesOf, mean } from "./figures.js";
+import { MARKS } from "./palette.js";
+import { LAST_SEEN } from "./state.js";
+
+/** Who draws in which colour and with which mark. */
+export function showLegend(forecasts, hasTruth) {
+  const chips = forecasts.map(({ slot, label }) => {
+    const chip = make("span", { class: "chip", "aria-hidden": "true" }, MARKS[slot]);
+    chip.dataset.slot = String(slot);
+    return make("span", {}, chip, label);
+  });
+  if (hasTruth) {
+    const chip = make("span", { class: "chip", "aria-hidden": "true" }, "○");
+    chip.dataset.slot = "truth";
+    chips.push(make("span", {}, chip, "truth"));
+  }
+  byId("legend").replaceChildren(...chips);
+}
+
+/** A row a forecast: its figures at the moment that is shown, and over all its steps. */
+export function showFigures(forecasts, truth, index) {
+  const rows = forecasts.map((forecast) => {
+    const { errors, radii, held } = curvesOf(forecast, truth);
+    const step = index - LAST_SEEN;
+    const known = errors.filter((error) => error !== null);
+    const name = make("th", { scope: "row" }, chipOf(forecast.slot), forecast.label);
+    const cells = [
+      pixels(errors[step]),
+      pixels(radii[step]),
+      held[step] === true ? "yes" : held[step] === false ? "no" : "–",
+      pixels(known.length ? mean(known) : null),
+      forecast.state === "failed"
+        ? "failed"
+        : forecast.firstStepMs
+          ? `${Math.round(forecast.firstStepMs)} ms`
+          : "…",
+    ].map((text) => make("td", {}, text));
+    return make("tr", {}, name, ...cells);
+  });
+  byId("figures").tBodies[0].replaceChildren(...rows);
+}
+
+function chipOf(slot) {
+  const chip = make("span", { class: "chip", "aria-hidden": "true" }, MARKS[slot]);
+  chip.dataset.slot = String(slot);
+  return chip;
+}
+
+function pixels(value) {
+  return value === null || value === undefined ? "–" : `${value.toFixed(1)} px`;
+}
+
+/** Warnings of the answers, each once, and what the page itself has to say. */
+export function showNotes(take, forecasts) {
+  const said = forecasts.flatMap(({ label, done }) =>
+    (done?.warnings ?? []).map((warning) => (forecasts.length > 1 ? `${label}: ${warning}` : warning)),
+  );
+  const notes = [...new Set([...(take?.notes ?? []), ...said])];
+  byId("notes").replaceChildren(...notes.map((note) => make("li", {}, note)));
+}
+
+export function showHealth(status) {
+  const words = {
+    ready: "ready",
+    loading: "loading models",
+    draining: "shutting down",
+    "no usable model": "no usable model",
+    lost: "service lost",
+  };
+  const pill = byId("health");
+  if (pill.dataset.status === status) return;
+  pill.dataset.status = status;
+  pill.firstElementChild.textContent = words[status] ?? status;
+}

@@ -1,0 +1,257 @@
+/** From choices to frames and forecasts: what is asked of the service, in order. */
+
+import { predictStream, ServiceProblem, simulate } from "./api.js";
+import { framesOf } from "./resample.js";
+import { FootageError } from "./footage.js";
+import { SEEN } from "./state.js";
+
+const IMAGE_SIZE = 256;
+const ATTEMPTS = 4;
+
+/**
+ * @typedef {object} Take what there is to see
+ * @property {string} title
+ * @property {(CanvasImageSource | undefined)[]} frames
+ * @property {number} frameSize side, pixels
+ * @property {number} rate frames a second
+ * @property {object[] | null} truth
+ * @property {object | null} surface
+ * @property {string[]} notes
+ */
+
+/** One run of the page; a new one ends the one before. */
+export class Session {
+  /**
+   * @param {{changed: () => void, waiting: (error: Error, seconds: number, attempt: number) => void,
+   *   answered: () => void}} listener
+   */
+  constructor(listener) {
+    this._listener = listener;
+    /** @type {Take | null} */
+    this.take = null;
+    this.forecasts = [];
+    this.finalIndex = null;
+    this._ended = new AbortController();
+  }
+
+  /** Stop whatever runs; return the signal of what comes now. */
+  begin() {
+    this._ended.abort();
+    this._ended = new AbortController();
+    return this._ended.signal;
+  }
+
+  /** Simulate a scene, unless it is the one that is there. */
+  async scene({ scenario, balls, seed }, steps, signal) {
+    const asked = {
+      scenario,
+      objects: balls,
+      seed: seed.trim() === "" ? null : Number(seed),
+      steps,
+      image_size: IMAGE_SIZE,
+      include_surface: true,
+    };
+    if (!Number.isFinite(asked.seed)) asked.seed = seed;
+    const key = JSON.stringify({ ...asked, steps: 0 });
+    if (this.take?.key === key && this.take.frames.length >= steps) return;
+    const answer = await this._asked(() => simulate(asked, signal), signal);
+    const frames = await Promise.all(answer.frames.map(bitmapOf));
+    if (signal.aborted) throw new DOMException("", "AbortError");
+    this.take = {
+      key,
+      kind: "scene",
+      scenario,
+      title: `${titled(scenario)}, ${balls === 1 ? "1 ball" : `${balls} balls`}, seed ${seed}`,
+      file: `rollcast-${scenario}-${seed}`,
+      frames,
+      sent: answer.frames,
+      frameSize: answer.frame_size[0],
+      rate: answer.frame_rate,
+      truth: answer.objects,
+      radiusM: answer.scene.radius_m,
+      surface: answer.surface,
+      scene: answer.scene,
+      notes: [],
+    };
+  }
+
+  /** Take the frames that the models see out of footage; the others follow when there is time. */
+  async footage(footage, wanted, finalIndex, signal) {
+    const source = framesOf(footage, wanted);
+    const needed = finalIndex === null ? SEEN : finalIndex + 1;
+    const take = {
+      key: null,
+      kind: "footage",
+      title: footage.name,
+      file: `rollcast-${footage.name.replace(/\.[^.]*$/, "").replace(/[^\w-]+/g, "-")}`,
+      frames: [],
+      truth: null,
+      surface: null,
+      wanted,
+      notes: [],
+    };
+    let blendedS = 0;
+    const next = async () => {
+      const { value, done } = await source.next();
+      if (signal.aborted) throw new DOMException("", "AbortError");
+      if (done) return false;
+      take.frames.push(value.frame);
+      take.rate = 1 / value.spacingS;
+      if (take.frames.length <= SEEN) blendedS = Math.max(blendedS, value.blendedOverS);
+      return true;
+    };
+    while (take.frames.length < needed) {
+      if (!(await next())) throw new FootageError(tooShort(take, needed, wanted));
+    }
+    take.frameSize = take.frames[0].width;
+    take.notes = footageNotes(take.rate, blendedS);
+    take.sent = await Promise.all(take.frames.map((frame) => pngOf(frame)));
+    this.take = take;
+    this.forecasts = [];
+    return async (last) => {
+      while (take.frames.length <= last && (await next())) this._listener.changed();
+    };
+  }
+
+  /** Ask every model, side by side, for a forecast that is drawn as it comes. */
+  async forecast(models, request, signal) {
+    this.forecasts = models.map((model, slot) => ({
+      slot,
+      name: model,
+      label: model,
+      state: "waiting",
+      objects: [],
+      times: [],
+      done: null,
+    }));
+    this._listener.changed();
+    const results = await Promise.allSettled(
+      this.forecasts.map((forecast) =>
+        this._asked(() => this._stream(forecast, request, signal), signal),
+      ),
+    );
+    const failed = results.find(({ status }) => status === "rejected");
+    if (failed) throw failed.reason;
+  }
+
+  /** The body of a forecast: what /simulate drew goes back as it came, footage as file parts. */
+  body(model, request) {
+    const frames = this.take.sent.slice(0, SEEN);
+    const final = this.finalIndex === null ? null : this.take.sent[this.finalIndex];
+    const fields = { model, ...request };
+    if (this.take.kind === "scene") {
+      return { ...fields, frames, ...(final && { final_frame: final }) };
+    }
+    const form = new FormData();
+    for (const [name, value] of Object.entries(fields)) form.append(name, String(value));
+    for (const [index, file] of frames.entries()) form.append("frames", file, `frame-${index}.png`);
+    if (final) form.append("final_frame", final, "final.png");
+    return form;
+  }
+
+  async _stream(forecast, request, signal) {
+    const begun = performance.now();
+    Object.assign(forecast, { state: "waiting", objects: [], times: [], done: null });
+    try {
+      for await (const { step, done } of predictStream(this.body(forecast.name, request), signal)) {
+        if (step) {
+          forecast.firstStepMs ??= performance.now() - begun;
+          forecast.state = "streaming";
+          append(forecast, step);
+        }
+        if (done) finish(forecast, done, performance.now() - begun);
+        this._listener.changed();
+      }
+    } catch (error) {
+      forecast.state = "failed";
+      this._listener.changed();
+      throw error;
+    }
+  }
+
+  /** Ask again, when the service wants that, what was refused for being too much at once. */
+  async _asked(ask, signal) {
+    for (let attempt = 2; ; attempt++) {
+      try {
+        const answer = await ask();
+        if (attempt > 2) this._listener.answered();
+        return answer;
+      } catch (error) {
+        const wait = error instanceof ServiceProblem ? error.retryAfterS : null;
+        if (wait === null || attempt > ATTEMPTS) throw error;
+        this._listener.waiting(error, wait, attempt);
+        await pause(wait * 1000, signal);
+      }
+    }
+  }
+}
+
+function append(forecast, step) {
+  forecast.times.push(step.time_s);
+  for (const { id, position, covariance, angular_velocity } of step.objects) {
+    const ball = (forecast.objects[id] ??= {
+      id,
+      positions: [],
+      covariances: [],
+      angularVelocities: [],
+    });
+    ball.positions.push(position);
+    ball.covariances.push(covariance);
+    ball.angularVelocities.push(angular_velocity);
+  }
+}
+
+function finish(forecast, done, allMs) {
+  const { model } = done;
+  const label = forecast.name === "auto" ? `auto: ${model.name}` : forecast.name;
+  const trainedS = model.trained_horizon / done.frame_rate;
+  Object.assign(forecast, { state: "done", done, allMs, label, trainedS });
+}
+
+async function bitmapOf(base64) {
+  const bytes = Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
+  return createImageBitmap(new Blob([bytes], { type: "image/png" }));
+}
+
+/** @returns {Promise<Blob>} */
+export function pngOf(canvas) {
+  return new Promise((resolve) => canvas.toBlob(resolve, "image/png"));
+}
+
+function pause(ms, signal) {
+  return new Promise((resolve, reject) => {
+    const timer = setTimeout(resolve, ms);
+    signal.addEventListener("abort", () => {
+      clearTimeout(timer);
+      reject(new DOMException("", "AbortError"));
+    });
+  });
+}
+
+function tooShort(take, needed, { startS, spacingS }) {
+  const milliseconds = Math.round(spacingS * 1000);
+  return (
+    `It has ${take.frames.length} frames, ${milliseconds} ms apart, from ${startS.toFixed(2)} s on; ` +
+    `${needed} are needed. Start earlier, or bring a longer one.`
+  );
+}
+
+function footageNotes(rate, blendedS) {
+  const notes = [];
+  if (blendedS > 0) {
+    const apart = `${Math.round(blendedS * 1000)} ms apart`;
+    const long = blendedS > 0.05 ? ", which is long for a ball that rolls" : "";
+    notes.push(
+      `The camera took no frames at these times: they are blended from those before and after, ${apart}${long}.`,
+    );
+  }
+  if (Math.abs(rate / 40 - 1) > 0.05) {
+    notes.push(`The models know 40 frames a second; these are ${rate.toFixed(1)} a second.`);
+  }
+  return notes;
+}
+
+function titled(scenario) {
+  return scenario[0].toUpperCase() + scenario.slice(1);
+}
+

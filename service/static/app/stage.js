@@ -1,0 +1,85 @@
+/** The pictures: one for all forecasts, or one beside the other for each of them. */
+
+import { byId, make } from "./dom.js";
+import { drawMoment } from "./draw.js";
+import { LAST_SEEN } from "./state.js";
+
+/** What one panel of the stage shows at a moment; downloads are drawn from the same. */
+export function panelsOf(take, forecasts, choices, index) {
+  const common = {
+    frame: take.frames[index] ?? null,
+    lastFrame: take.frames.findLast((frame) => frame) ?? null,
+    frameSize: take.frameSize,
+    index,
+    truth: choices.truth ? take.truth : null,
+    ellipses: choices.ellipses,
+  };
+  const split = choices.layout === "split" && forecasts.length > 1;
+  const groups = split ? forecasts.map((forecast) => [forecast]) : [forecasts];
+  return groups.map((group) => ({ ...common, forecasts: group }));
+}
+
+/** "seen 2 of 4" or "forecast". */
+export function phaseOf(index) {
+  return index <= LAST_SEEN ? `seen ${index + 1} of 4` : "forecast";
+}
+
+export class Stage {
+  constructor() {
+    this._panels = byId("panels");
+    this._strip = byId("strip");
+  }
+
+  /** Draw a moment. */
+  show(take, forecasts, choices, index) {
+    const panels = panelsOf(take, forecasts, choices, index);
+    const canvases = this._canvases(panels.length);
+    for (const [number, panel] of panels.entries()) {
+      const canvas = canvases[number];
+      fit(canvas);
+      drawMoment(canvas.getContext("2d"), canvas.width, panel);
+      const whose = panel.forecasts.map((forecast) => forecast.label).join(", ");
+      canvas.setAttribute(
+        "aria-label",
+        `${take.title}, ${phaseOf(index)}${whose ? `, forecast by ${whose}` : ""}`,
+      );
+    }
+  }
+
+  /** Put the frames that the models see under the stage. */
+  showSeen(take, finalIndex) {
+    const indices = [0, 1, 2, 3, ...(finalIndex === null ? [] : [finalIndex])];
+    this._strip.replaceChildren(
+      ...indices.map((index) => {
+        const canvas = make("canvas", { width: 144, height: 144, "aria-hidden": "true" });
+        const frame = take.frames[index];
+        if (frame) canvas.getContext("2d").drawImage(frame, 0, 0, 144, 144);
+        const step = index - LAST_SEEN;
+        const caption = step > 0 ? `t = ${step}, final` : `t = ${String(step).replace("-", "−")}`;
+        return make("li", {}, canvas, make("span", {}, caption));
+      }),
+    );
+  }
+
+  /** The canvas on which a crop is chosen. */
+  single() {
+    const [canvas] = this._canvases(1);
+    fit(canvas);
+    return canvas;
+  }
+
+  _canvases(count) {
+    while (this._panels.children.length > count) this._panels.lastChild.remove();
+    while (this._panels.children.length < count) {
+      this._panels.append(make("canvas", { role: "img", "aria-label": "" }));
+    }
+    this._panels.dataset.count = String(count);
+    return [...this._panels.children];
+  }
+}
+
+/** Give a canvas as many pixels as the screen has there. */
+function fit(canvas) {
+  const side = Math.round(canvas.clientWidth * (window.devicePixelRatio || 1)) || 560;
+  if (canvas.width !== side) canvas.width = canvas.height = side;
+}

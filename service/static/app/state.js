@@ -1,0 +1,90 @@
+/** What the user has chosen, kept in the page's address so that it can be passed on. */
+
+/**
+ * @typedef {object} Choices
+ * @property {"scene" | "footage"} source
+ * @property {"hemisphere" | "ellipsoid" | "heightfield"} scenario
+ * @property {number} balls
+ * @property {string} seed as it was typed
+ * @property {string[]} models one to three, "auto" or names
+ * @property {number} horizon steps
+ * @property {boolean} finalFrame
+ * @property {"overlay" | "split"} layout
+ * @property {boolean} ellipses
+ * @property {boolean} truth
+ * @property {number} speed of the playback, 1 is real time
+ */
+
+export const MOST_MODELS = 3;
+export const SEEN = 4;
+/** Frames that the models see; frame i shows step i - 3. */
+export const LAST_SEEN = SEEN - 1;
+
+/** @type {Choices} */
+const DEFAULTS = {
+  source: "scene",
+  scenario: "ellipsoid",
+  balls: 1,
+  seed: "7",
+  models: ["auto"],
+  horizon: 40,
+  finalFrame: false,
+  layout: "overlay",
+  ellipses: true,
+  truth: true,
+  speed: 0.5,
+};
+
+/** Those that make sense in somebody else's browser; footage stays where it is. */
+const SHARED = ["scenario", "balls", "seed", "models", "horizon", "finalFrame", "layout"];
+
+/**
+ * A value whose changes are told to those who asked for it.
+ * @template {object} T
+ * @param {T} initial
+ */
+export function createStore(initial) {
+  let state = initial;
+  const listeners = new Set();
+  return {
+    get: () => state,
+    /** @param {Partial<T>} change */
+    set(change) {
+      const before = state;
+      state = { ...state, ...change };
+      for (const listener of listeners) listener(state, before);
+    },
+    /** @param {(state: T, before: T) => void} listener */
+    subscribe(listener) {
+      listeners.add(listener);
+    },
+  };
+}
+
+/** Choices out of an address' fragment; what is not understood is left as it is by default. */
+export function choicesFrom(fragment) {
+  const given = new URLSearchParams(fragment.replace(/^#/, ""));
+  const choices = { ...DEFAULTS };
+  for (const name of SHARED) {
+    const text = given.get(name);
+    if (text !== null) choices[name] = parsed(text, DEFAULTS[name]);
+  }
+  if (!["hemisphere", "ellipsoid", "heightfield"].includes(choices.scenario)) {
+    choices.scenario = DEFAULTS.scenario;
+  }
+  choices.balls = Math.min(Math.max(Math.round(choices.balls) || 1, 1), 3);
+  return choices;
+}
+
+/** The fragment that brings back these choices. */
+export function fragmentOf(choices) {
+  const changed = SHARED.filter((name) => String(choices[name]) !== String(DEFAULTS[name]));
+  return new URLSearchParams(changed.map((name) => [name, String(choices[name])])).toString();
+}
+
+function parsed(text, like) {
+  if (Array.isArray(like)) return text.split(",").slice(0, MOST_MODELS);
+  if (typeof like === "number") return Number(text) || like;
+  if (typeof like === "boolean") return text === "true";
+  return text;
+}
