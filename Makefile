@@ -136,5 +136,5 @@ lock:
 		--group pyproject.toml:$(name) --output-file requirements/$(name).txt &&) true
 
 clean:
-	rm -rf .venv .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist *.egg-info
+	rm -rf .venv .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist docs/generated *.egg-info
 	find . -path ./.git -prune -o -type d -name __pycache__ -exec rm -rf {} +
