@@ -14,6 +14,8 @@ PROTOCOL_TESTS := tests/protocol
 IMAGE_TESTS := tests/image
 # Those of a cluster of Ray's take long too, and Ray warns of much: make cluster-test.
 CLUSTER_TESTS := tests/cluster
+# Those of the page need Debian's chromium: make browser-test.
+BROWSER_TESTS := tests/browser
 # Six replicas start on fewer cores: Ray would give its proxy up after 5 s.
 ON_RAY := RAY_SERVE_PROXY_READY_CHECK_TIMEOUT_S=60
 PEERS := peer-fastapi peer-litserve peer-bentoml peer-ray
@@ -36,7 +38,7 @@ define step
 	@printf -- '--- %s\n' '$(1)'; $(2) || { printf 'rollcast: FAILED: %s\n' '$(1)' >&2; exit 1; }
 endef
 
-.PHONY: help serve test docs bench image-test cluster-test scaling format lint environments lock clean
+.PHONY: help serve test docs bench browser-test image-test cluster-test scaling format lint environments lock clean
 .NOTPARALLEL:
 
 help:
@@ -44,6 +46,7 @@ help:
 	@echo 'make test     run every check and test'
 	@echo 'make docs     build the documents into build/docs, check every link, execute the notebook'
 	@echo 'make bench    measure the service beside the bare loop; on a machine that does nothing else'
+	@echo 'make browser-test  try the page in a real browser; needs Debian'"'"'s chromium'
 	@echo 'make image-test  build the images and try them; needs root, debootstrap, buildah and podman'
 	@echo 'make cluster-test  try the service on Ray: replicas and nodes are killed under load'
 	@echo 'make scaling  measure the service on Ray, on a machine that does nothing else'
@@ -57,7 +60,7 @@ serve:
 	@exec .venv/service/bin/python -m service --host 127.0.0.1 --port $(PORT)
 
 test: environments lint
-	$(call step,tests,$(SIDE_BY_SIDE) tests $(TORCH_FREE_TESTS:%=--ignore=%) $(PROTOCOL_TESTS:%=--ignore=%) $(IMAGE_TESTS:%=--ignore=%) $(CLUSTER_TESTS:%=--ignore=%) $(PYTEST_ARGS))
+	$(call step,tests,$(SIDE_BY_SIDE) tests $(TORCH_FREE_TESTS:%=--ignore=%) $(PROTOCOL_TESTS:%=--ignore=%) $(IMAGE_TESTS:%=--ignore=%) $(CLUSTER_TESTS:%=--ignore=%) $(BROWSER_TESTS:%=--ignore=%) $(PYTEST_ARGS))
 	$(call step,no torch in the service environment,! .venv/service/bin/python -c 'import torch' 2>/dev/null)
 	$(call step,tests without torch,.venv/service-test/bin/python -m pytest $(or $(TORCH_FREE_TESTS),tests/service) $(PYTEST_ARGS))
 	$(call step,clients of the protocol,.venv/protocol/bin/python -m pytest $(PROTOCOL_TESTS) $(PYTEST_ARGS))
@@ -75,6 +78,11 @@ bench:
 	@tools/environment.sh service
 	@for name in bench $(PEERS); do tools/environment.sh $$name || exit 1; done
 	@.venv/bench/bin/python -m tests.bench.run $(BENCH_ARGS)
+
+browser-test:
+	@tools/environment.sh service
+	@tools/environment.sh browser
+	$(call step,page,.venv/browser/bin/python -m pytest $(BROWSER_TESTS) $(PYTEST_ARGS))
 
 image-test:
 	@tools/environment.sh service

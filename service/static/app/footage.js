@@ -2,6 +2,10 @@
 
 import { canvasOf, make } from "./dom.js";
 
+/** How long a browser may take to show a picture, and how long at the end, where there may be none. */
+const PATIENCE_MS = 2000;
+const END_MS = 500;
+
 /** The footage cannot be used; the message is for its user. */
 export class FootageError extends Error {}
 
@@ -136,19 +140,23 @@ export class VideoFootage {
     return this._video.duration;
   }
 
-  /** Seconds between two shots near a time: the mean over five of them, since files round it. */
+  /**
+   * Seconds between two shots near a time: the mean over some of them, since files round it. Every
+   * search here ends at another shot than the one before, which is when browsers are quick.
+   */
   async intervalAt(timeS) {
     const first = await this.shotAt(timeS);
-    let next = null;
-    for (let ahead = 0.004; ahead < 1 && !(next?.timeS > first.timeS); ahead *= 1.25) {
-      next = await this.shotAt(first.timeS + ahead);
-      if (next === null) return this._interval ?? 1 / 30;
+    let later = null;
+    for (let ahead = 0.05; ahead < 2 && !(later?.timeS > first.timeS); ahead *= 2) {
+      later = await this.shotAt(first.timeS + ahead);
+      if (later === null) return this._interval ?? 1 / 30;
     }
-    if (!(next.timeS > first.timeS)) return 1;
-    const one = next.timeS - first.timeS;
-    const fifth = await this.shotAt(first.timeS + 4.5 * one);
-    const shots = fifth ? Math.round((fifth.timeS - first.timeS) / one) : 1;
-    this._interval = shots > 1 ? (fifth.timeS - first.timeS) / shots : one;
+    const before = await this.shotAt(later.timeS - 0.002);
+    const one = later.timeS - before.timeS;
+    if (!(one > 0)) return 1 / 30;
+    const last = (await this.shotAt(first.timeS + 5.5 * one)) ?? later;
+    const shots = Math.round((last.timeS - first.timeS) / one);
+    this._interval = shots > 1 ? (last.timeS - first.timeS) / shots : one;
     return this._interval;
   }
 
@@ -160,31 +168,63 @@ export class VideoFootage {
   }
 
   async _seek(timeS) {
-    const video = this._video;
+    const { _video: video, _shownS: shownS, _interval: intervalS = 0 } = this;
     if (timeS >= video.duration + 1e-3) return null;
-    let shownS = null;
-    const tells = "requestVideoFrameCallback" in video;
-    const shown = tells
-      ? new Promise((resolve) => {
-          video.requestVideoFrameCallback((_, { mediaTime }) => {
-            shownS = mediaTime;
-            resolve();
-          });
-        })
-      : Promise.resolve();
-    await new Promise((resolve, reject) => {
+    const isSame = timeS >= shownS && timeS - shownS < 0.5 * intervalS;
+    if (timeS !== this._askedS && !isSame) this._shownS = await this._shownAt(timeS);
+    this._askedS = timeS;
+    return { timeS: this._shownS, picture: video };
+  }
+
+  /**
+   * Go to a time and tell when what is shown there was taken. A browser says so with every picture
+   * that it shows anew; where it stays silent, it is sent away and back.
+   */
+  async _shownAt(timeS) {
+    const video = this._video;
+    const isLast = timeS > video.duration - 2e-3;
+    const told = await this._goTo(timeS, isLast ? END_MS : PATIENCE_MS);
+    if (told !== null) return told;
+    if (isLast && this._shownS !== undefined) return this._shownS;
+    await this._goTo(timeS > 0.5 ? timeS - 0.4 : timeS + 0.4, PATIENCE_MS);
+    return (await this._goTo(timeS, PATIENCE_MS)) ?? timeS;
+  }
+
+  /** @returns {Promise<number | null>} when the picture was taken; null if the browser does not say */
+  async _goTo(timeS, patienceMs) {
+    const video = this._video;
+    // Half a millisecond, so that a time that was rounded down does not miss its own frame.
+    const target = Math.min(Math.max(timeS, 0) + 0.0005, video.duration);
+    const seeked = new Promise((resolve, reject) => {
       video.addEventListener("seeked", resolve, { once: true });
       video.addEventListener("error", () => reject(new FootageError("The video broke off.")), {
         once: true,
       });
-      // Half a millisecond, so that a time that was rounded down does not miss its own frame.
-      video.currentTime = Math.min(Math.max(timeS, 0) + 0.0005, video.duration);
     });
-    // Which frame it is comes with the frame; a browser that shows none anew says nothing.
-    await Promise.race([shown, new Promise((resolve) => setTimeout(resolve, 400))]);
-    if (shownS === null) shownS = tells && this._shownS <= timeS ? this._shownS : timeS;
-    this._shownS = shownS;
-    return { timeS: shownS, picture: video };
+    if (!("requestVideoFrameCallback" in video)) {
+      video.currentTime = target;
+      await seeked;
+      return timeS;
+    }
+    let request = 0;
+    const told = new Promise((resolve) => {
+      const listen = () => {
+        request = video.requestVideoFrameCallback((_, { mediaTime }) => {
+          // A picture of the search before may come late.
+          const isIt = mediaTime <= target + 1e-3 && target - mediaTime < 1;
+          if (isIt && mediaTime !== this._toldS) resolve(mediaTime);
+          else listen();
+        });
+      };
+      listen();
+    });
+    video.currentTime = target;
+    await seeked;
+    const silence = new Promise((resolve) => setTimeout(() => resolve(null), patienceMs));
+    const shownS = await Promise.race([told, silence]);
+    video.cancelVideoFrameCallback(request);
+    this._toldS = shownS ?? this._toldS;
+    return shownS;
   }
 
   close() {

@@ -63,12 +63,16 @@ function requestOf(choices) {
 
 /** What the run that is underway was asked: Enter in a field changes and submits at once. */
 let running = null;
+/** Whether the service went away in the middle of a run: it is done again when it is back. */
+let interrupted = false;
 
 async function run() {
   const choices = store.get();
   const asked = JSON.stringify(choices);
   if (running === asked || (choices.source === "footage" && !bring.footage)) return;
   running = asked;
+  interrupted = false;
+  byId("stage").dataset.state = "busy";
   const signal = session.begin();
   const finalStep = choices.finalFrame ? finalStepOf(entries, choices) : null;
   session.finalIndex = finalStep === null ? null : finalStep + LAST_SEEN;
@@ -87,14 +91,16 @@ async function run() {
     leaveEditing();
     begin(choices, horizon);
     const forecasts = session.forecast(choices.models, requestOf(choices), signal);
-    showBusy(null);
+    showBusy(others ? "Reading on in your footage …" : null);
     await Promise.all([forecasts, others?.(horizon - 1 + LAST_SEEN)]);
+    showBusy(null);
     showHealth("ready");
   } catch (error) {
     if (error.name === "AbortError") return;
     showBusy(null);
     showError(error, error instanceof ServiceProblem && error.problem.status === 422 ? undefined : run);
-    if (error instanceof LostService) showHealth("lost");
+    interrupted = error instanceof LostService;
+    if (interrupted) showHealth("lost");
   } finally {
     if (!signal.aborted) {
       running = null;
@@ -154,17 +160,19 @@ function show() {
   const truth = take?.truth ?? null;
   const steps = forecasts.map(({ times, state }) => (state === "failed" ? Infinity : times.length));
   const least = Math.min(...(steps.length ? steps : [1]));
-  player.arrived = LAST_SEEN - 1 + (least === Infinity ? player.last : least);
+  const forecast = LAST_SEEN - 1 + (least === Infinity ? player.last : least);
+  player.arrived = Math.min(forecast, take && !take.isComplete ? take.frames.length - 1 : Infinity);
   showLegend(forecasts, truth !== null);
   showNotes(take, forecasts);
   chart.show(forecasts, truth, take ? (player.last - LAST_SEEN) / take.rate : 1);
   surface.show(take, forecasts);
   sharing.show(forecasts.length > 0 && forecasts.every(({ state }) => state === "done"));
   byId("recrop").hidden = !(choices.source === "footage" && take);
+  byId("drop").classList.toggle("done", bring.footage !== null);
   if (take) {
     byId("stage-title").textContent = take.title;
-    byId("stage").dataset.state = forecasts.map(({ state }) => state).join(" ");
   }
+  byId("stage").dataset.state = running ? "busy" : forecasts.map(({ state }) => state).join(" ");
   showMoment(player.index);
 }
 
@@ -223,6 +231,7 @@ function empty() {
   showBusy(null);
   byId("stage").dataset.mode = "empty";
   byId("stage-title").textContent = "Bring a video, or at least four images";
+  stage.single();
   requestShow();
 }
 
@@ -259,7 +268,7 @@ async function watch() {
       entries = await models();
       Object.assign(store.get(), possible(store.get(), entries));
       showControls(store.get(), entries, store);
-      if (!session.take && store.get().source === "scene") run();
+      if (interrupted || (!session.take && store.get().source === "scene")) run();
     } catch (error) {
       showError(error, watch);
     }

@@ -17,6 +17,7 @@ const ATTEMPTS = 4;
  * @property {object[] | null} truth
  * @property {object | null} surface
  * @property {string[]} notes
+ * @property {boolean} isComplete whether no more frames will come
  */
 
 /** One run of the page; a new one ends the one before. */
@@ -46,12 +47,11 @@ export class Session {
     const asked = {
       scenario,
       objects: balls,
-      seed: seed.trim() === "" ? null : Number(seed),
+      seed: asNumber(seed),
       steps,
       image_size: IMAGE_SIZE,
       include_surface: true,
     };
-    if (!Number.isFinite(asked.seed)) asked.seed = seed;
     const key = JSON.stringify({ ...asked, steps: 0 });
     if (this.take?.key === key && this.take.frames.length >= steps) return;
     const answer = await this._asked(() => simulate(asked, signal), signal);
@@ -72,6 +72,7 @@ export class Session {
       surface: answer.surface,
       scene: answer.scene,
       notes: [],
+      isComplete: true,
     };
   }
 
@@ -89,6 +90,7 @@ export class Session {
       surface: null,
       wanted,
       notes: [],
+      isComplete: false,
     };
     let blendedS = 0;
     const next = async () => {
@@ -110,6 +112,7 @@ export class Session {
     this.forecasts = [];
     return async (last) => {
       while (take.frames.length <= last && (await next())) this._listener.changed();
+      take.isComplete = true;
     };
   }
 
@@ -184,6 +187,12 @@ export class Session {
       }
     }
   }
+}
+
+/** What was typed as a number; if it is none, the service shall say what it expects. */
+function asNumber(text) {
+  if (text === "") return null;
+  return Number.isFinite(Number(text)) ? Number(text) : text;
 }
 
 function append(forecast, step) {

@@ -64,6 +64,7 @@ export class Stage {
   /** The canvas on which a crop is chosen. */
   single() {
     const [canvas] = this._canvases(1);
+    canvas.getContext("2d").clearRect(0, 0, canvas.width, canvas.height);
     fit(canvas);
     return canvas;
   }

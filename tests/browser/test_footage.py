@@ -1,0 +1,234 @@
+"""Footage that the user brings: the frames have to be the right ones, and the messages clear."""
+
+import base64
+import io
+import json
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import Page, expect
+
+from rollcast.client import Client, Simulation
+from tests.browser.conftest import OpenPage, figures, pixels, until_forecast
+
+SIZE, LEFT, TOP = 240, 52, 8
+"""The frames stand in a larger picture, so that there is something to crop."""
+
+
+@pytest.fixture(scope="module")
+def scene(address: str) -> Simulation:
+    with Client(address) as client:
+        return client.simulate("hemisphere", seed=7, steps=64, image_size=SIZE)
+
+
+@pytest.fixture(scope="module")
+def clips(scene: Simulation, tmp_path_factory) -> dict[int, Path]:
+    """Videos of the scene by cameras of 40 and of 30 frames a second."""
+    folder = tmp_path_factory.mktemp("clips")
+    return {rate: film(scene, folder / f"rolling-{rate}.webm", rate) for rate in (40, 30)}
+
+
+def film(scene: Simulation, path: Path, rate: int) -> Path:
+    """Film a scene with a camera of another rate, which sees the nearest frame each time."""
+    assert scene.frames is not None
+    times_s = np.arange(0, len(scene.frames) / 40, 1 / rate)
+    with av.open(path, "w") as container:
+        stream = container.add_stream("libvpx", rate=rate)
+        stream.width, stream.height, stream.pix_fmt = 320, 256, "yuv420p"
+        stream.bit_rate = 8_000_000
+        for time_s in times_s:
+            picture = np.full((256, 320, 3), 90, np.uint8)
+            nearest = min(round(time_s * 40), len(scene.frames) - 1)
+            picture[TOP : TOP + SIZE, LEFT : LEFT + SIZE] = scene.frames[nearest]
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    return path
+
+
+def drop(page: Page, *paths: Path) -> None:
+    """Let files fall onto the page, as from a file manager."""
+    kinds = {".webm": "video/webm", ".png": "image/png", ".txt": "text/plain"}
+    files = [
+        (path.name, kinds[path.suffix], base64.b64encode(path.read_bytes()).decode())
+        for path in paths
+    ]
+    carried = page.evaluate_handle(
+        """(files) => {
+          const transfer = new DataTransfer();
+          for (const [name, type, data] of files) {
+            const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+            transfer.items.add(new File([bytes], name, { type }));
+          }
+          return transfer;
+        }""",
+        files,
+    )
+    page.dispatch_event("body", "dragover", {"dataTransfer": carried})
+    expect(page.locator("#dropping")).to_be_visible()
+    page.dispatch_event("body", "drop", {"dataTransfer": carried})
+    expect(page.locator("#dropping")).to_be_hidden()
+
+
+def crop(page: Page) -> None:
+    for name, value in (("size", SIZE), ("x", LEFT), ("y", TOP)):
+        page.fill(f"#crop-{name}", str(value))
+        page.press(f"#crop-{name}", "Tab")
+
+
+def saved(page: Page) -> dict:
+    with page.expect_download() as download:
+        page.click("#save-json")
+    return json.loads(Path(download.value.path()).read_text())
+
+
+def forecast_of(page: Page) -> np.ndarray:
+    page.click("#go")
+    until_forecast(page)
+    return np.array(saved(page)["forecasts"][0]["objects"][0]["positions"])
+
+
+@pytest.fixture
+def page(open_page: OpenPage, address: str) -> Page:
+    page = open_page(address)
+    until_forecast(page)
+    return page
+
+
+@pytest.mark.parametrize(("rate", "within_px"), [(40, 4.0), (30, 12.0)])
+def test_a_dropped_video(page: Page, scene: Simulation, clips, rate: int, within_px: float):
+    drop(page, clips[rate])
+    expect(page.locator("#footage-name")).to_contain_text(f"rolling-{rate}.webm: 320 × 256, 1.6")
+    crop(page)
+    positions = forecast_of(page)
+    truth = scene.positions[0, 3:43]
+    errors = np.linalg.norm(positions - truth, axis=-1)
+    # As near as the model is with the frames themselves; a camera of another rate is blended.
+    assert errors[:20].mean() < within_px, errors
+    expect(page.locator("#notes li")).to_have_count(0 if rate == 40 else 1)
+    assert figures(page)[0] == "–", "nobody knows the truth"
+    # The footage goes on under the forecast.
+    page.click("#first")
+    first = pixels(page)
+    page.click("#end")
+    expect(page.locator("#badge")).to_have_text("+0.975 s")
+    assert pixels(page) != first
+    expect(page.locator("#surface-note")).to_contain_text("Nobody knows the ground")
+
+
+def test_where_it_starts(page: Page, scene: Simulation, clips):
+    drop(page, clips[40])
+    crop(page)
+    page.fill("#start", "0.5")
+    expect(page.locator("#start-text")).to_have_text("0.500 s")
+    positions = forecast_of(page)
+    errors = np.linalg.norm(positions - scene.positions[0, 23:63], axis=-1)
+    assert errors[:10].mean() < 4, errors
+    page.click("#recrop")
+    expect(page.locator("#stage-title")).to_contain_text("Choose where it begins")
+    page.fill("#start", "1.58")
+    page.click("#go")
+    expect(page.locator("#messages")).to_contain_text("Start earlier")
+
+
+def test_the_square_is_dragged(page: Page, clips):
+    drop(page, clips[40])
+    canvas = page.locator("#panels canvas.cropping")
+    expect(canvas).to_be_visible()
+    expect(page.locator("#crop-size")).to_have_value("256")
+    box = canvas.bounding_box()
+    assert box is not None
+    scale = box["width"] / 320
+    top = box["y"] + (box["height"] - 256 * scale) / 2
+
+    def drag(start: tuple[float, float], end: tuple[float, float]) -> None:
+        page.mouse.move(box["x"] + start[0] * scale, top + start[1] * scale)
+        page.mouse.down()
+        page.mouse.move(box["x"] + end[0] * scale, top + end[1] * scale)
+        page.mouse.up()
+
+    drag((160, 128), (180, 128))
+    expect(page.locator("#crop-x")).to_have_value("52")
+    drag((52, 256), (116, 192))
+    expect(page.locator("#crop-size")).to_have_value("192")
+    expect(page.locator("#crop-x")).to_have_value("116")
+    page.fill("#crop-x", "9999")
+    page.press("#crop-x", "Tab")
+    expect(page.locator("#crop-x")).to_have_value("128")
+
+
+def test_images(page: Page, scene: Simulation, tmp_path: Path):
+    assert scene.frames is not None
+    paths = [tmp_path / f"frame-{index}.png" for index in range(43)]
+    for path, frame in zip(paths, scene.frames, strict=False):
+        Image.fromarray(frame).save(path)
+    # Sorted as people sort: frame-2 before frame-10.
+    page.check("#source-footage")
+    expect(page.locator("#stage-title")).to_contain_text("Bring a video")
+    page.set_input_files("#files", sorted(paths))
+    expect(page.locator("#footage-name")).to_contain_text("43 images, frame-0.png to frame-42.png")
+    positions = forecast_of(page)
+    with Client(page.url.split("/#")[0]) as client:
+        asked = client.predict(scene.frames[:4], horizon=40, objects=1)
+    np.testing.assert_allclose(positions, asked.positions[0], rtol=0, atol=0.05)
+    page.fill("#image-rate", "80")
+    page.press("#image-rate", "Tab")
+    expect(page.locator("#footage-name")).to_contain_text("0.53 s")
+    page.click("#go")
+    until_forecast(page)
+    page.click("#end")
+    expect(page.locator("#badge")).to_contain_text("no footage")
+
+
+def test_a_spacing_that_the_models_do_not_know(page: Page, clips):
+    drop(page, clips[40])
+    crop(page)
+    page.fill("#spacing", "50")
+    page.press("#spacing", "Tab")
+    page.click("#go")
+    until_forecast(page)
+    assert saved(page)["request"]["frame_rate"] == pytest.approx(20)
+    expect(page.locator("#notes")).to_contain_text("these are 20.0 a second")
+
+
+def test_a_final_frame_of_footage(page: Page, clips):
+    drop(page, clips[40])
+    crop(page)
+    page.check("#final")
+    page.click("#go")
+    until_forecast(page)
+    expect(page.locator("#strip li")).to_have_count(5)
+    expect(page.locator("#legend")).to_contain_text("fieldnet-between")
+
+
+def image(size: tuple[int, int]) -> bytes:
+    buffer = io.BytesIO()
+    Image.new("RGB", size).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+UNUSABLE = {
+    "text": ({"notes.txt": b"x"}, "neither images nor a video"),
+    "three images": ({f"{i}.png": image((64, 64)) for i in range(3)}, "Four images are needed"),
+    "no image": ({f"{i}.png": b"x" for i in range(4)}, "0.png cannot be read as an image"),
+    "no video": ({"broken.webm": b"x"}, "cannot decode broken.webm"),
+    "sizes differ": (
+        {f"{i}.png": image((64, 64 + i)) for i in range(4)},
+        "1.png is 64 × 65, the first image 64 × 64",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNUSABLE)
+def test_unusable_footage(page: Page, tmp_path: Path, case: str):
+    files, said = UNUSABLE[case]
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    drop(page, *(tmp_path / name for name in files))
+    if case == "sizes differ":
+        page.click("#go")
+    expect(page.locator("#messages")).to_contain_text(said)
+    expect(page.locator("#messages h2")).to_have_text("This footage cannot be used")
