@@ -160,7 +160,7 @@ def test_the_square_is_dragged(page: Page, clips):
     expect(page.locator("#crop-x")).to_have_value("128")
 
 
-def test_images(page: Page, scene: Simulation, tmp_path: Path):
+def test_images(page: Page, address: str, scene: Simulation, tmp_path: Path):
     assert scene.frames is not None
     paths = [tmp_path / f"frame-{index}.png" for index in range(43)]
     for path, frame in zip(paths, scene.frames, strict=False):
@@ -171,7 +171,7 @@ def test_images(page: Page, scene: Simulation, tmp_path: Path):
     page.set_input_files("#files", sorted(paths))
     expect(page.locator("#footage-name")).to_contain_text("43 images, frame-0.png to frame-42.png")
     positions = forecast_of(page)
-    with Client(page.url.split("/#")[0]) as client:
+    with Client(address) as client:
         asked = client.predict(scene.frames[:4], horizon=40, objects=1)
     np.testing.assert_allclose(positions, asked.positions[0], rtol=0, atol=0.05)
     page.fill("#image-rate", "80")

@@ -10,17 +10,16 @@ const START = { azimuth: -0.5, polar: 0.66, distance: 3.9 };
 /** Those of the pictures; a single ball is textured there. */
 const BALLS = ["#d23a32", "#2f9a45", "#3a63dc"];
 const SINGLE = "#f4f1ea";
+const REBUILD_MS = 150;
 
 export class Surface3d {
   constructor() {
     this._canvas = byId("surface");
     this._view = { ...START };
     this._index = 0;
-    try {
-      this._renderer = new THREE.WebGLRenderer({ canvas: this._canvas, antialias: true, alpha: true });
-    } catch {
-      return; // show() says so
-    }
+    const context = this._canvas.getContext("webgl2", { antialias: true, alpha: true });
+    if (!context) return; // show() says so
+    this._renderer = new THREE.WebGLRenderer({ canvas: this._canvas, context });
     this._camera = new THREE.PerspectiveCamera(34, 1, 0.1, 50);
     this._camera.up.set(0, 0, 1);
     this._scene = new THREE.Scene();
@@ -46,8 +45,19 @@ export class Surface3d {
     if (take.surface !== this._surface) this._setGround(take);
     this._take = take;
     this._forecasts = forecasts;
-    this._setPaths();
+    if (this._isDue(take, forecasts)) this._setPaths();
     this.mark(this._index);
+  }
+
+  /** Whether paths have grown; while they do so step by step, not for every one of them. */
+  _isDue(take, forecasts) {
+    const shown = `${take.key} ${forecasts.map(({ name, times }) => name + times.length)}`;
+    const isGrowing = forecasts.some(({ state }) => state === "streaming");
+    const now = performance.now();
+    if (shown === this._shown || (isGrowing && now - this._shownAt < REBUILD_MS)) return false;
+    this._shown = shown;
+    this._shownAt = now;
+    return true;
   }
 
   /** Put the balls where they are at a frame. */

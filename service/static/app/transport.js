@@ -14,8 +14,9 @@ export function installTransport(player) {
   byId("forth").addEventListener("click", () => player.step(1));
   byId("end").addEventListener("click", () => player.step(Infinity));
   byId("scrub").addEventListener("input", () => {
+    const index = Number(byId("scrub").value); // pausing shows where the clock was
     player.pause();
-    player.seek(Number(byId("scrub").value));
+    player.seek(index);
   });
   byId("stage").addEventListener("keydown", (event) => {
     // Fields and buttons keep the keys that they use themselves.
