@@ -5,6 +5,8 @@ import { curvesOf } from "./figures.js";
 import { faded, onPage } from "./palette.js";
 
 const HEIGHT_PX = 240;
+/** Doubt that has lost all bounds leaves the chart at this multiple of the largest error. */
+const MOST_OF_ERROR = 3;
 
 export class Chart {
   /** @param {(timeS: number) => void} seek called when a moment is clicked */
@@ -30,8 +32,11 @@ export class Chart {
       (longest, { times }) => (times.length > longest.length ? times : longest),
       [],
     );
+    this._mostPx = Infinity;
     const columns = forecasts.flatMap((forecast) => {
       const { errors, radii } = curvesOf(forecast, truth);
+      const most = MOST_OF_ERROR * Math.max(...errors);
+      if (most > 0) this._mostPx = Math.max(this._mostPx === Infinity ? 0 : this._mostPx, most);
       const padded = (values) => times.map((_, step) => values[step] ?? null);
       return truth ? [padded(radii), padded(errors)] : [padded(radii)];
     });
@@ -66,7 +71,7 @@ export class Chart {
         cursor: { y: false, drag: { x: false, y: false }, points: { show: false } },
         scales: {
           x: { time: false, range: () => [0, this._secondsInAll ?? 1] },
-          y: { range: (_, __, max) => [0, Math.max((max || 0) * 1.08, 1)] },
+          y: { range: (_, __, max) => [0, Math.max(Math.min(max || 0, this._mostPx) * 1.08, 1)] },
         },
         axes: [
           { ...axis, values: (_, ticks) => ticks.map((tick) => `${+tick.toFixed(3)} s`) },
