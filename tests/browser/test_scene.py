@@ -69,6 +69,7 @@ def test_models_side_by_side(page: Page):
         page.check(f"#models input[value={model}]")
         until_forecast(page)
     expect(page.locator("#models input[value=dispnet]")).to_be_disabled()
+    still(page)
     expect(page.locator("#figures tbody tr")).to_have_count(3)
     assert figures(page, 1)[0] != figures(page, 2)[0]
     page.check("#split")

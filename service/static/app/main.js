@@ -147,14 +147,16 @@ function leaveEditing() {
   delete byId("stage").dataset.mode;
 }
 
-let requested = 0;
+let isAsked = false;
 /** Show everything anew, once a frame of the screen however much has come. */
 function requestShow() {
-  cancelAnimationFrame(requested);
-  requested = requestAnimationFrame(show);
+  if (isAsked) return;
+  isAsked = true;
+  requestAnimationFrame(show);
 }
 
 function show() {
+  isAsked = false;
   const { take, forecasts } = session;
   const choices = store.get();
   const truth = take?.truth ?? null;

@@ -130,7 +130,11 @@ export class Session {
     this._listener.changed();
     const results = await Promise.allSettled(
       this.forecasts.map((forecast) =>
-        this._asked(() => this._stream(forecast, request, signal), signal),
+        this._asked(() => this._stream(forecast, request, signal), signal).catch((error) => {
+          forecast.state = "failed";
+          this._listener.changed();
+          throw error;
+        }),
       ),
     );
     const failed = results.find(({ status }) => status === "rejected");
@@ -155,20 +159,14 @@ export class Session {
   async _stream(forecast, request, signal) {
     const begun = performance.now();
     Object.assign(forecast, { state: "waiting", objects: [], times: [], done: null });
-    try {
-      for await (const { step, done } of predictStream(this.body(forecast.name, request), signal)) {
-        if (step) {
-          forecast.firstStepMs ??= performance.now() - begun;
-          forecast.state = "streaming";
-          append(forecast, step);
-        }
-        if (done) finish(forecast, done, performance.now() - begun);
-        this._listener.changed();
+    for await (const { step, done } of predictStream(this.body(forecast.name, request), signal)) {
+      if (step) {
+        forecast.firstStepMs ??= performance.now() - begun;
+        forecast.state = "streaming";
+        append(forecast, step);
       }
-    } catch (error) {
-      forecast.state = "failed";
+      if (done) finish(forecast, done, performance.now() - begun);
       this._listener.changed();
-      throw error;
     }
   }
 

@@ -167,8 +167,10 @@ export class Surface3d {
 
   _draw() {
     if (!this._renderer || this._canvas.hidden || !this._surface) return;
-    cancelAnimationFrame(this._request);
-    this._request = requestAnimationFrame(() => {
+    if (this._isAsked) return; // asking anew would put it off, again and again
+    this._isAsked = true;
+    requestAnimationFrame(() => {
+      this._isAsked = false;
       const { clientWidth: width, clientHeight: height } = this._canvas;
       if (!width || !height) return;
       this._renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
