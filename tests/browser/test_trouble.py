@@ -23,7 +23,7 @@ SEEDS = {
     "negative": ("-1", "-1", "greater than or equal to 0"),
     "a fraction": ("1.5", "1.5", "integer"),
     "a word": ("seven", '"seven"', "integer"),
-    "none": ("", "null", "integer"),
+    "none": ("", "null", "required"),
 }
 
 
