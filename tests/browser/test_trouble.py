@@ -6,7 +6,7 @@ import threading
 
 import httpx2
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from rollcast.client import Client
 from tests.browser.conftest import OpenPage, until_forecast
@@ -159,3 +159,34 @@ def test_an_error_in_the_stream(page: Page):
     expect(page.locator("#messages")).to_contain_text("It left every bound at step 3.")
     page.get_by_role("button", name="Dismiss").click()
     expect(page.locator("#messages")).to_have_text("")
+
+
+def test_a_service_that_is_still_loading(page: Page):
+    page.route("**/health/ready", lambda route: route.fulfill(
+        status=503, content_type="application/json", body='{"status": "loading"}'
+    ))  # fmt: skip
+    page.reload()
+    expect(page.locator("#busy")).to_have_text("The service is loading its models …")
+    expect(page.locator("#health")).to_have_text("loading models")
+    page.unroute("**/health/ready")
+    until_forecast(page)
+    expect(page.locator("#busy")).to_be_hidden()
+
+
+def test_a_service_behind_a_prefix(open_page: OpenPage, address: str):
+    page = open_page(address)
+    until_forecast(page)
+    beyond = []
+
+    def strip(route: Route) -> None:
+        beyond.append(route.request.url)
+        route.continue_(url=route.request.url.replace("/some/prefix/", "/"))
+
+    page.route("**/some/prefix/**", strip)
+    page.on("request", lambda request: beyond.append(request.url))
+    beyond.clear()
+    page.goto(f"{address}/some/prefix/")
+    until_forecast(page)
+    assert all(url.startswith((f"{address}/some/prefix/", "blob:", "data:")) for url in beyond)
+    assert any(url.endswith("/predict/stream") for url in beyond)
+    expect(page.locator("#snippet")).to_contain_text("/some/prefix/simulate")

@@ -21,6 +21,13 @@ import { installTransport, showTransport } from "./transport.js";
 const HEALTH_EVERY_MS = 5000;
 /** Choices that only change how things are drawn; all others ask the service anew. */
 const LOOKS = ["layout", "ellipses", "truth", "speed"];
+/** What is said before there is anything to see. */
+const WAITING = {
+  loading: "The service is loading its models …",
+  "no usable model": "The service has no usable model.",
+  draining: "The service is shutting down …",
+  lost: "Waiting for the service …",
+};
 const CALM = matchMedia("(prefers-reduced-motion: reduce)");
 
 const store = createStore(choicesFrom(location.hash));
@@ -262,9 +269,10 @@ new ResizeObserver(() => (editing ? bring.edit() : requestShow())).observe(byId(
 
 /** Look after the service: when it comes back, or has just begun, the page goes on by itself. */
 async function watch() {
-  const status = await health();
   const was = byId("health").dataset.status;
+  const status = document.hidden && was === "ready" ? was : await health();
   showHealth(status);
+  if (status !== "ready" && !session.take && !running) showBusy(WAITING[status] ?? WAITING.lost);
   if (status === "ready" && (was !== "ready" || !entries.length)) {
     try {
       entries = await models();
@@ -279,4 +287,5 @@ async function watch() {
 }
 
 showControls(store.get(), entries, store);
+stage.single();
 watch();
