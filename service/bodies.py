@@ -1,7 +1,9 @@
 """From the bytes of a request to its validated body; nothing is read beyond the limit."""
 
+import asyncio
 import json
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Sequence
+from contextlib import asynccontextmanager
 from typing import Any, NoReturn, TypeVar
 
 from fastapi import Request
@@ -12,6 +14,7 @@ from starlette.requests import ClientDisconnect
 
 from service.errors import (
     BodyTooLargeError,
+    BodyTooSlowError,
     InvalidValueError,
     MalformedBodyError,
     ServiceError,
@@ -21,6 +24,8 @@ from service.problems import invalid_values
 
 JSON = "application/json"
 MULTIPART = "multipart/form-data"
+MAX_DIGITS = 18
+"""Of an announced length; more are no length of anything."""
 MAX_PARTS = 32
 MAX_TEXT_PART_BYTES = 4096
 
@@ -49,15 +54,28 @@ async def read_body(request: Request) -> bytes:
     ------
     BodyTooLargeError
         As soon as the limit of the settings is passed, or at once when the header announces it.
+    BodyTooSlowError
+        When it has not ended in the time of the settings.
     """
-    return b"".join([chunk async for chunk in _limited(request)])
+    async with _in_time(request):
+        return b"".join([chunk async for chunk in _limited(request)])
+
+
+@asynccontextmanager
+async def _in_time(request: Request) -> AsyncGenerator[None]:
+    seconds = request.app.state.service.settings.receive_timeout_s
+    try:
+        async with asyncio.timeout(seconds):
+            yield
+    except TimeoutError as error:
+        raise BodyTooSlowError(f"The body had not ended after {seconds:g} s.") from error
 
 
 async def _limited(request: Request) -> AsyncIterator[bytes]:
     limit = request.app.state.service.settings.max_body_bytes
     announced = request.headers.get("content-length", "0")
-    if announced.isdecimal() and int(announced) > limit:
-        raise _too_large(limit, int(announced))
+    if announced.isdecimal() and int(announced[:MAX_DIGITS]) > limit:
+        raise _too_large(limit, announced)
     size = 0
     try:
         async for chunk in request.stream():
@@ -133,7 +151,7 @@ async def read_form(request: Request, model: type[B], lists: frozenset[str]) -> 
 
     Raises
     ------
-    BodyTooLargeError, MalformedBodyError, InvalidValueError
+    BodyTooLargeError, BodyTooSlowError, MalformedBodyError, InvalidValueError
         As for JSON.
     """
     parser = MultiPartParser(
@@ -144,7 +162,8 @@ async def read_form(request: Request, model: type[B], lists: frozenset[str]) -> 
         max_part_size=MAX_TEXT_PART_BYTES,
     )
     try:
-        form = await parser.parse()
+        async with _in_time(request):
+            form = await parser.parse()
     except MultiPartException as error:
         raise MalformedBodyError(f"The body is not multipart: {error.message}") from error
     data: dict[str, Any] = {}

@@ -3,6 +3,7 @@
 * ServiceError
   x MalformedBodyError         400  the body cannot be parsed
   x UnknownModelError          404
+  x BodyTooSlowError           408
   x BodyTooLargeError          413
   x UnsupportedMediaTypeError  415  neither JSON nor multipart
   x NotAnImageError            415  neither PNG nor JPEG nor WebP
@@ -12,6 +13,7 @@
   x SceneRejectedProblem       422  the rejection rules dropped every scene
   x DivergedError              422  the forecast leaves every bound before its horizon
   x QueueFullError             429
+  x SimulationLostError        503  the process that simulates died of it, or cannot be started
   x ModelUnavailableError      503  the model exists and is not served
   x NotReadyError              503  no model is served, yet or any more
   x DeadlineExceededError      504  the answer takes longer than the client waits
@@ -73,6 +75,12 @@ class UnknownModelError(ServiceError):
     status, slug, title = 404, "unknown-model", "There is no such model"
 
 
+class BodyTooSlowError(ServiceError):
+    """The body takes longer to arrive than the service waits."""
+
+    status, slug, title = 408, "body-too-slow", "The body takes too long"
+
+
 class BodyTooLargeError(ServiceError):
     """The body is larger than the service reads."""
 
@@ -125,6 +133,12 @@ class QueueFullError(ServiceError):
     """More requests wait than the service is set to hold."""
 
     status, slug, title = 429, "queue-full", "The queue is full"
+
+
+class SimulationLostError(ServiceError):
+    """The process that simulates died before it had answered."""
+
+    status, slug, title = 503, "simulation-lost", "The simulation was lost"
 
 
 class ModelUnavailableError(ServiceError):

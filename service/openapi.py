@@ -21,6 +21,7 @@ BODIES: Sequence[type[BaseModel]] = (
     InferResponse,
     InferError,
 )
+FRAMEWORK_SCHEMAS = ("HTTPValidationError", "ValidationError")
 
 
 def body_of(model: type[BaseModel], *media_types: str) -> dict[str, Any]:
@@ -52,6 +53,17 @@ def tensors_of(model: type[BaseModel], follows: str) -> dict[str, Any]:
     }
 
 
+def _drop_unsent_refusals(schema: dict[str, Any]) -> None:
+    """Drop FastAPI's own 422 wherever a route has not described one: it is never answered."""
+    for name in FRAMEWORK_SCHEMAS:
+        schema["components"]["schemas"].pop(name, None)
+    for operations in schema["paths"].values():
+        for operation in operations.values():
+            refusal = operation["responses"].get("422", {})
+            if "application/json" in refusal.get("content", {}):
+                del operation["responses"]["422"]
+
+
 def install_openapi(app: FastAPI) -> None:
     """Make the app describe itself with the bodies above."""
 
@@ -67,6 +79,7 @@ def install_openapi(app: FastAPI) -> None:
                 [(model, "validation") for model in BODIES], ref_template=REFERENCE
             )
             schema["components"]["schemas"] |= bodies["$defs"]
+            _drop_unsent_refusals(schema)
             app.openapi_schema = schema
         return app.openapi_schema
 

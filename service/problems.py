@@ -24,6 +24,7 @@ from service.errors import (
     NotReadyError,
     QueueFullError,
     ServiceError,
+    SimulationLostError,
 )
 from service.logs import REQUEST_ID_HEADER, request_id
 from service.protocol import InferError
@@ -31,6 +32,8 @@ from service.protocol import InferError
 MEDIA_TYPE = "application/problem+json"
 PROTOCOL_PATH = "/v2"
 """Root of the Open Inference Protocol."""
+PASSING = (QueueFullError, NotReadyError, ModelUnavailableError, SimulationLostError)
+"""Refusals after which it is worth while to ask again."""
 LONGEST_VALUE = 100
 """Characters of a wrong value that are sent back."""
 LONGEST_DETAIL = 600
@@ -90,7 +93,7 @@ def _answer(request: Request, error: Exception) -> Response:
         case ServiceError():
             request.app.state.service.metrics.refusal(error.slug)
             problem = _refusal(error)
-            if isinstance(error, QueueFullError | NotReadyError | ModelUnavailableError):
+            if isinstance(error, PASSING):
                 headers["Retry-After"] = str(request.app.state.service.settings.retry_after_s)
         case RequestValidationError():
             parameters = [fault | {"loc": fault["loc"][1:]} for fault in error.errors()]

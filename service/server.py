@@ -2,11 +2,13 @@
 
 import asyncio
 import socket
+from functools import partial
 
 import uvicorn
 from fastapi import FastAPI
 
 from service.app import create_app
+from service.connections import Connection
 from service.logs import configuration
 from service.settings import Settings
 from service.state import State
@@ -26,6 +28,7 @@ class Server(uvicorn.Server):
         super().__init__(
             uvicorn.Config(
                 app,
+                http=partial(Connection, settings=settings),  # pyright: ignore[reportArgumentType]
                 log_config=configuration(settings.log_format),
                 access_log=False,  # service.logs has its own
                 timeout_graceful_shutdown=settings.stop_timeout_s,

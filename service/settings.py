@@ -50,6 +50,11 @@ class Settings(BaseSettings):
     """Folder of the artefacts, ``NAME/VERSION/``."""
     max_body_bytes: Annotated[int, Field(ge=1)] = 64 * MEBI
     """Largest request body; a larger one is refused with 413 while it is being read."""
+    receive_timeout_s: Annotated[float, Field(gt=0)] = 60
+    """Seconds in which the head of a request has to arrive, and then its body: a slower body is
+    refused with 408, and its connection closed."""
+    send_timeout_s: Annotated[float, Field(gt=0)] = 60
+    """Seconds after which the connection of a client is closed that takes nothing of its answer."""
     inference_threads: Annotated[int, Field(ge=1)] = Field(default_factory=cpu_count)
     """Threads that compute forecasts; by default one per core that this process or its container
     may use."""

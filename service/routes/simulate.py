@@ -1,11 +1,13 @@
 """``POST /simulate``: a scene with its true path."""
 
+from concurrent.futures.process import BrokenProcessPool
+
 from fastapi import APIRouter, Request, Response
 
 from rollcast.errors import SceneParametersError, SceneRejectedError
 from rollcast.http import SimulateRequest, SimulateResponse
 from service.bodies import JSON, media_type, parse_json, read_body
-from service.errors import InvalidValueError, SceneRejectedProblem
+from service.errors import InvalidValueError, SceneRejectedProblem, SimulationLostError
 from service.openapi import body_of, problems_of
 from service.problems import in_plain_words
 from service.simulations import simulate
@@ -18,7 +20,7 @@ router = APIRouter(tags=["simulation"])
     "/simulate",
     name="simulate",
     response_model=SimulateResponse,
-    responses=problems_of(400, 413, 415, 422, 429),
+    responses=problems_of(400, 408, 413, 415, 422, 429, 503),
     openapi_extra=body_of(SimulateRequest, JSON),
 )
 async def simulate_scene(request: Request, service: ServiceState) -> Response:
@@ -33,6 +35,9 @@ async def simulate_scene(request: Request, service: ServiceState) -> Response:
         raise InvalidValueError.at(error.field, error.value, expected) from error
     except SceneRejectedError as error:
         raise SceneRejectedProblem.at("seed", body.seed, f"another one: {error}") from error
+    except (BrokenProcessPool, OSError) as error:
+        lost = "The process that simulates died or cannot be started; the next call gets a new one."
+        raise SimulationLostError(lost) from error
     return Response(content, media_type=JSON)
 
 
