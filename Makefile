@@ -16,6 +16,8 @@ IMAGE_TESTS := tests/image
 CLUSTER_TESTS := tests/cluster
 # Those of the page need Debian's chromium: make browser-test.
 BROWSER_TESTS := tests/browser
+# What is tried beyond make test, of which docs/reliability.md has the figures.
+FUZZ_SHARE ?= 1
 # Six replicas start on fewer cores: Ray would give its proxy up after 5 s.
 ON_RAY := RAY_SERVE_PROXY_READY_CHECK_TIMEOUT_S=60
 PEERS := peer-fastapi peer-litserve peer-bentoml peer-ray
@@ -38,7 +40,7 @@ define step
 	@printf -- '--- %s\n' '$(1)'; $(2) || { printf 'rollcast: FAILED: %s\n' '$(1)' >&2; exit 1; }
 endef
 
-.PHONY: help serve test docs bench browser-test image-test cluster-test scaling format lint environments lock clean
+.PHONY: help serve test docs bench browser-test image-test cluster-test scaling fuzz format lint environments lock clean
 .NOTPARALLEL:
 
 help:
@@ -50,6 +52,7 @@ help:
 	@echo 'make image-test  build the images and try them; needs root, debootstrap, buildah and podman'
 	@echo 'make cluster-test  try the service on Ray: replicas and nodes are killed under load'
 	@echo 'make scaling  measure the service on Ray, on a machine that does nothing else'
+	@echo 'make fuzz     any bytes into every reader of input, millions of times; FUZZ_SHARE=0.01 for fewer'
 	@echo 'make format   format the code'
 	@echo 'make lint     the checks of make test without its tests'
 	@echo 'make lock     compile requirements/*.txt anew from pyproject.toml (UPGRADE=1: newest versions)'
@@ -99,6 +102,10 @@ scaling:
 	@tools/environment.sh cluster --torch
 	@$(ON_RAY) .venv/cluster/bin/python -W ignore -m tests.cluster.scaling $(SCALING_ARGS)
 
+fuzz:
+	@tools/environment.sh fuzz
+	@.venv/fuzz/bin/python -m tests.fuzz.run --share $(FUZZ_SHARE)
+
 lint:
 	@tools/environment.sh test --torch
 	$(call step,ruff format,$(BIN)/ruff format --check --quiet . || { $(BIN)/ruff format --check .; false; })
@@ -140,6 +147,8 @@ lock:
 		--output-file requirements/cluster.txt
 	$(UV_COMPILE) --extra bench --constraint requirements/test.txt \
 		--output-file requirements/bench.txt
+	$(foreach name,fuzz mutation,$(UV_COMPILE) --extra $(name) --constraint requirements/test.txt \
+		--output-file requirements/$(name).txt &&) true
 	$(foreach name,protocol browser docs image $(PEERS),$(UV_COMPILE:pyproject.toml=) \
 		--group pyproject.toml:$(name) --output-file requirements/$(name).txt &&) true
 

@@ -1,0 +1,325 @@
+"""What the fuzzer calls with any bytes: readers of input, and the whole app over them.
+
+Each target returns when the input was read or refused with a problem document that is strict JSON,
+and raises otherwise.
+"""
+
+import asyncio
+import contextlib
+import io
+import json
+import struct
+import tempfile
+import warnings
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NoReturn
+
+import numpy as np
+from PIL import Image
+from pydantic import ValidationError
+from starlette.requests import Request
+
+from rollcast.http import PredictRequest
+from rollcast.manifest import Manifest
+from service.app import create_app
+from service.bodies import parse_json, read_form
+from service.errors import ServiceError
+from service.images import decode_frames
+from service.problems import document
+from service.protocol import InferRequest
+from service.settings import Settings
+from service.tensors import read_query, split
+from tests.service import samples
+
+Target = Callable[[bytes], None]
+
+LOOP = asyncio.new_event_loop()
+SCRATCH = Path(tempfile.gettempdir()) / "rollcast-fuzz"
+SCRATCH.mkdir(exist_ok=True)
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+LONGEST_REFUSAL = 8000
+SETTINGS = Settings(models_dir=SCRATCH, max_body_bytes=2**20)
+ANY_APP = SimpleNamespace(state=SimpleNamespace(service=SimpleNamespace(settings=SETTINGS)))
+
+
+class SmallManifest(Manifest):
+    """Of a model whose frames are so small that a fuzzer can write them."""
+
+    @property
+    def frames_shape(self) -> tuple[int, int, int, int]:
+        return (1, 2, 2, 3)
+
+
+SMALL = SmallManifest.model_validate(samples.manifest().model_dump())
+
+
+def frames(data: bytes) -> None:
+    """One image file."""
+    with warnings.catch_warnings(), refusals():
+        warnings.simplefilter("ignore")  # Pillow warns of damaged metadata and goes on
+        decoded, _ = decode_frames([with_checksums(data)], ["frames[0]"])
+        assert (decoded.shape, decoded.dtype) == ((1, 128, 128, 3), np.uint8)
+
+
+def multipart(data: bytes) -> None:
+    """A content type, a line feed, a body that comes in pieces."""
+    kind, _, content = data.partition(b"\n")
+    pieces = [content[start : start + 97] for start in range(0, len(content), 97)]
+    messages = [{"type": "http.request", "body": piece, "more_body": True} for piece in pieces]
+    messages.append({"type": "http.request", "body": b"", "more_body": False})
+    rest = iter(messages)
+
+    async def receive() -> dict[str, Any]:
+        return next(rest)
+
+    scope = {
+        "type": "http",
+        "method": "POST",
+        "path": "/predict",
+        "headers": [(b"content-type", kind)],
+        "app": ANY_APP,
+    }
+    with refusals():
+        form = read_form(Request(scope, receive), PredictRequest, frozenset({"frames"}))
+        request = LOOP.run_until_complete(form)
+        assert len(request.frames) == 4
+
+
+def tensors(data: bytes) -> None:
+    """The length of the JSON, a line feed, the JSON, tensors."""
+    announced, _, body = data.partition(b"\n")
+    with refusals():
+        text, binary = split(body, announced.decode("latin-1") if announced else None)
+        query = read_query(parse_json(text, InferRequest), binary, SMALL, max_batch=4)
+        assert query.frames.shape[1:] == SMALL.frames_shape
+        assert 1 <= query.horizon <= 1000
+        assert query.outputs
+
+
+def manifest(data: bytes) -> None:
+    """The file ``manifest.json``."""
+    path = SCRATCH / "manifest.json"
+    path.write_bytes(data)
+    try:
+        read = Manifest.read(path)
+    except ValidationError as error:
+        json.dumps(error.errors(include_url=False, include_input=False, include_context=False))
+        return
+    read.write(path)
+    assert Manifest.read(path) == read
+    assert set(read.step_output_names) <= set(read.output_names)
+
+
+ROUTES = (
+    ("/predict", b"application/json"),
+    ("/predict", b"multipart/form-data; boundary=rollcast"),
+    ("/predict/stream", b"application/json"),
+    ("/v2/models/dot/infer", b"application/json"),
+    ("/v2/models/dot/infer", b"application/octet-stream"),
+    ("/simulate", b"application/json"),
+)
+
+
+class App:
+    """The whole app with one fake model of each kind, in this process."""
+
+    def __init__(self) -> None:
+        self._app = create_app(SETTINGS, samples.registry)
+        self._lifespan = self._app.router.lifespan_context(self._app)
+        LOOP.run_until_complete(self._lifespan.__aenter__())
+        while self._app.state.service.phase != "serving":
+            LOOP.run_until_complete(asyncio.sleep(0.01))
+        self._app.state.service.simulation.run = _nothing_is_simulated
+
+    def __call__(self, data: bytes) -> None:
+        """Post a body; its first byte tells where, its second how long the JSON is said to be."""
+        if len(data) < 2:
+            return
+        path, kind = ROUTES[data[0] % len(ROUTES)]
+        headers = [(b"content-type", kind)]
+        if kind == b"application/octet-stream":
+            length = min(len(data), 4 * data[1])
+            headers.append((b"inference-header-content-length", str(length).encode()))
+        status, given, body = LOOP.run_until_complete(self._post(path, headers, data[2:]))
+        assert 200 <= status < 500, f"{status} of {path}: {body[:500]!r}"
+        if status != 200:
+            assert b"json" in given[b"content-type"]
+            assert len(body) < LONGEST_REFUSAL
+            strict_json(body)
+        elif given[b"content-type"].startswith(b"application/json"):
+            strict_json(body)
+
+    async def _post(
+        self, path: str, headers: list[tuple[bytes, bytes]], body: bytes
+    ) -> tuple[int, Mapping[bytes, bytes], bytes]:
+        told: list[dict[str, Any]] = []
+        left = [{"type": "http.request", "body": body, "more_body": False}]
+        asked = asyncio.Event()
+
+        async def receive() -> dict[str, Any]:
+            if left:
+                return left.pop()
+            await asked.wait()
+            return {"type": "http.disconnect"}
+
+        async def send(message: dict[str, Any]) -> None:
+            told.append(message)
+
+        scope = {
+            "type": "http",
+            "asgi": {"version": "3.0"},
+            "http_version": "1.1",
+            "method": "POST",
+            "scheme": "http",
+            "path": path,
+            "raw_path": path.encode(),
+            "query_string": b"",
+            "root_path": "",
+            "headers": headers,
+            "client": ("127.0.0.1", 1),
+            "server": ("127.0.0.1", 80),
+            "state": {},
+        }
+        await asyncio.wait_for(self._app(scope, receive, send), 20)
+        start, *rest = told
+        content = b"".join(message.get("body", b"") for message in rest)
+        return start["status"], dict(start["headers"]), content
+
+
+async def _nothing_is_simulated(*_: object) -> str:
+    return "{}"
+
+
+@contextlib.contextmanager
+def refusals() -> Any:
+    """Let a refusal pass whose problem document can be sent."""
+    try:
+        yield
+    except ServiceError as error:
+        text = document(error)
+        assert len(text) < LONGEST_REFUSAL
+        strict_json(text.encode("utf-8"))
+
+
+def strict_json(body: bytes) -> object:
+    """Parse JSON as strict clients do: no NaN, no infinities, no lone surrogates."""
+    parsed = json.loads(body.decode("utf-8"), parse_constant=_refuse)
+    json.dumps(parsed, ensure_ascii=False).encode("utf-8")
+    return parsed
+
+
+def _refuse(name: str) -> NoReturn:
+    raise AssertionError(f"{name} is no JSON")
+
+
+def with_checksums(data: bytes) -> bytes:
+    """Repair the checksums of a PNG's chunks: else no change would get past them."""
+    if not data.startswith(PNG_SIGNATURE):
+        return data
+    repaired, place = bytearray(data), len(PNG_SIGNATURE)
+    while place + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, place)
+        end = place + 8 + length
+        if end + 4 > len(data):
+            break
+        struct.pack_into(">I", repaired, end, zlib.crc32(data[place + 4 : end]))
+        place = end + 4
+    return bytes(repaired)
+
+
+TARGETS: Mapping[str, Callable[[], Target]] = {
+    "frames": lambda: frames,
+    "multipart": lambda: multipart,
+    "tensors": lambda: tensors,
+    "manifest": lambda: manifest,
+    "app": App,
+}
+
+
+def _images() -> list[bytes]:
+    picture = Image.fromarray(samples.dot(20, 12, 32))
+    kinds = [("PNG", {}), ("JPEG", {}), ("WEBP", {}), ("WEBP", {"lossless": True})]
+    plain = [samples.encode(picture, kind, **options) for kind, options in kinds]
+    modes = [samples.encode(picture.convert(mode), "PNG") for mode in ("1", "L", "P", "LA", "RGBA")]
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    others = [
+        samples.encode(Image.new("I;16", (32, 32), 9000), "PNG"),
+        samples.encode(picture.convert("CMYK"), "JPEG"),
+        samples.encode(picture, "JPEG", exif=exif, progressive=True),
+        samples.encode(picture, "PNG", save_all=True, append_images=[picture.rotate(90)]),
+        samples.encode(picture, "WEBP", save_all=True, append_images=[picture.rotate(90)]),
+    ]
+    return [*plain, *modes, *others]
+
+
+def _multipart_bodies() -> list[bytes]:
+    image = samples.png(samples.dot(20, 12, 32))
+    part = b'--b\r\nContent-Disposition: form-data; name="%b"%b\r\n\r\n%b\r\n'
+    four = b"".join(part % (b"frames", b'; filename="f.png"', image) for _ in range(4))
+    text = part % (b"horizon", b"", b"3") + part % (b"frame_rate", b"", b"1e400")
+    whole = [four + b"--b--\r\n", four + text + b"--b--\r\n", text + b"--b--", four, b"--b--"]
+    return [b"multipart/form-data; boundary=b\n" + body for body in whole]
+
+
+def _infer_bodies() -> list[bytes]:
+    def message(**changes: object) -> bytes:
+        tensor = {"name": "frames", "datatype": "UINT8", "shape": [1, 1, 2, 2, 3]} | changes
+        horizon = {"name": "horizon", "datatype": "INT64", "shape": [1], "data": [7]}
+        return json.dumps({"id": "a", "inputs": [tensor, horizon]}).encode()
+
+    flat, behind = message(data=[0] * 12), message(parameters={"binary_data_size": 12})
+    nested = message(data=[[[[[1, 2, 3]] * 2] * 2]])
+    wanted = json.dumps(
+        {"inputs": [], "outputs": [{"name": "positions", "parameters": {"binary_data": True}}]}
+    ).encode()
+    announced = str(len(behind)).encode() + b"\n" + behind + bytes(12)
+    return [b"\n" + flat, b"\n" + nested, announced, b"\n" + wanted]
+
+
+def seeds(target: str) -> list[bytes]:
+    """Inputs that the fuzzer begins with."""
+    match target:
+        case "frames":
+            return _images()
+        case "multipart":
+            return _multipart_bodies()
+        case "tensors":
+            return _infer_bodies()
+        case "manifest":
+            return [
+                samples.manifest().model_dump_json().encode(),
+                samples.manifest(covariance=samples.EMPIRICAL).model_dump_json().encode(),
+                samples.manifest(frames=5, final_step=9).model_dump_json().encode(),
+            ]
+        case _:
+            predict = json.dumps(samples.body(horizon=2)).encode()
+            simulate = b'{"scenario": "hemisphere", "seed": 7, "scene": {"radius_m": 0.1}}'
+            form = _multipart_bodies()[1].partition(b"\n")[2].replace(b"--b", b"--rollcast")
+            infer = _infer_bodies()[0].strip()
+            bodies = (predict, form, predict, infer, infer, simulate)
+            return [bytes([route, 50]) + body for route, body in enumerate(bodies)]
+
+
+WORDS = (
+    b"IHDR", b"IDAT", b"IEND", b"PLTE", b"tRNS", b"iCCP", b"eXIf", b"acTL", b"fcTL", b"fdAT",
+    b"\xff\xd8\xff", b"\xff\xda", b"\xff\xc2", b"\xff\xee", b"WEBP", b"VP8L", b"VP8X", b"ANMF",
+    b"NaN", b"Infinity", b"-Infinity", b"1e400", b"\\ud800", b"\\udfff", b"null", b"true",
+    b"[[[[[", b"frames", b"horizon", b"inputs", b"outputs", b"parameters", b"binary_data_size",
+    b"binary_data", b"shape", b"datatype", b"UINT8", b"INT64", b"FP32", b"data", b"-1",
+    b"18446744073709551616", b"final_frame", b"final_step", b"frame_rate", b"scenario",
+    b"model", b"objects", b"filename*=", b"Content-Disposition: form-data; name=", b"boundary=",
+    b"charset=", b"Content-Type: ", b"covariance", b"empirical", b"variance_scale",
+    b"golden_tolerance", b"format_version",
+)  # fmt: skip
+
+
+def dictionary() -> str:
+    """Words that the fuzzer may put in, in libFuzzer's form."""
+    lines = io.StringIO()
+    for word in WORDS:
+        lines.write('"' + "".join(f"\\x{byte:02x}" for byte in word) + '"\n')
+    return lines.getvalue()
