@@ -185,4 +185,7 @@ def _validate(model: type[B], data: object, *, strict: bool | None) -> B:
     try:
         return model.model_validate(data, strict=strict)
     except ValidationError as error:
-        raise invalid_values(error.errors(include_url=False)) from error
+        refusal = invalid_values(error.errors(include_url=False))
+    # Not from the error: it is no Python object, and holds the frames that led to it, and with them
+    # the body and this request, where the garbage collector does not see that nobody else does.
+    raise refusal

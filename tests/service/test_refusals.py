@@ -1,5 +1,6 @@
 """Every bad request gets its own problem document, quickly, and the next request works."""
 
+import gc
 import json
 import time
 
@@ -7,6 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from service.errors import ServiceError
+from service.waiting import Patience
 from tests.service.samples import body, dot, encode, moving_dot, parts, png, png_header
 
 GOOD = moving_dot()
@@ -238,3 +241,22 @@ def test_a_fault_of_the_service_tells_nothing_of_its_inside(start):
         "status": 500,
         "detail": "The fault is the service's; its log has the reason.",
     }
+
+
+@pytest.mark.parametrize("path", ["/predict", "/predict/stream"])
+@pytest.mark.parametrize(
+    "request_", [raw('{"frames": ["?"]}'), raw("{"), {"files": parts(GOOD[:3])}], ids="vjm"
+)
+def test_what_was_refused_is_let_go(client, path, request_):
+    """A body that lives on as long as the process would fill its memory, refusal by refusal."""
+
+    def living() -> int:
+        gc.collect()
+        return sum(isinstance(thing, Patience | ServiceError) for thing in gc.get_objects())
+
+    for _ in range(3):
+        assert client.post(path, **request_).status_code >= 400
+    before = living()
+    for _ in range(10):
+        client.post(path, **request_)
+    assert living() <= before
