@@ -21,13 +21,14 @@ from training.models.fieldnet import FieldNet
 from training.models.paper import VggEncoder, load_imagenet
 from training.models.predictor import Predictor
 from training.plots import draw_training
-from training.publish import publish
+from training.publish import RESULTS, publish, publish_study
 from training.quantise import NotWorthItError, quantise
 from training.recipes import RECIPES
 from training.report import with_results
 from training.results import committed
 from training.settings import runs_folder
 from training.simulate import Source, data_folder, in_processes, make_missing, split_shards
+from training.studies import STUDIES
 from training.trainer import Pace, Trainer
 
 MODELS = Path("models")
@@ -170,8 +171,18 @@ def _parser() -> argparse.ArgumentParser:
     _add_ray(campaigned, "train rounds that do not need each other side by side")
     campaigned.set_defaults(run=_campaign)
 
+    studied = commands.add_parser(
+        "study",
+        parents=[processes],
+        help="train and measure the rows that a study's table lacks, into docs/results",
+    )
+    studied.add_argument("study", choices=sorted(STUDIES))
+    studied.add_argument("--rows", nargs="+", default=[], metavar="METHOD", help="these rows alone")
+    studied.add_argument("--scenes", type=int, default=500, help="test scenes of every subject")
+    studied.set_defaults(run=_study)
+
     reported = commands.add_parser(
-        "report", help="write the README's table of results from the committed models"
+        "report", help="write the README's table and the studies' pages from what was measured"
     )
     reported.set_defaults(run=_report)
     return parser
@@ -362,10 +373,23 @@ def _finish(chosen: campaign.Round, outcome: campaign.Outcome, given: argparse.N
     campaign.finish(chosen, outcome)
 
 
+def _study(arguments: argparse.Namespace) -> None:
+    study = STUDIES[arguments.study]
+    file = DOCS / "results" / RESULTS
+    try:
+        for done in study.run(file, arguments.scenes, arguments.workers, arguments.rows):
+            print(done, flush=True)
+            publish_study(study, DOCS)
+    except ValueError as error:
+        raise SystemExit(str(error)) from error
+
+
 def _report(_: argparse.Namespace) -> None:
     manifests = [Manifest.read(folder / MANIFEST_FILE) for folder in committed(MODELS)]
     text = README.read_text(encoding="utf-8")
     README.write_text(with_results(text, manifests), encoding="utf-8")
+    for study in STUDIES.values():
+        publish_study(study, DOCS)
 
 
 if __name__ == "__main__":

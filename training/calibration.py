@@ -9,8 +9,7 @@ from rollcast.scene import SCENARIOS, Scenario
 from rollcast.simulation import Simulator
 from rollcast.simulation.recording import STOPPED_M_S, TEST_START
 from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ
-from training.evaluate import LINE_POINTS
-from training.metrics import line_through_ten
+from training.baselines.least_squares import POINTS, polynomial
 from training.paper import angular_speed_rad_s, published
 from training.splits import seeds
 
@@ -37,7 +36,7 @@ def measure(scenario: Scenario, scenes: int) -> Difficulty:
     for seed in seeds("validation", scenes):
         trajectory = simulator.sequence(scenario, 1, seed, LONGEST_FRAMES, 0).trajectory
         positions = camera.project(trajectory.positions_m[:, 0])
-        line = line_through_ten(positions[None, None, start : start + LINE_POINTS], 40)[0, 0]
+        line = polynomial(positions[None, None, start : start + POINTS], 1, 40)[0, 0]
         truth = positions[start + FIRST_FORECAST_FRAME :]
         errors.append(np.linalg.norm(line[[19, 39]] - truth[[19, 39]], axis=-1))
         moved = np.linalg.norm(np.diff(trajectory.positions_m[:, 0], axis=0), axis=-1)

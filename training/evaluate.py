@@ -11,13 +11,12 @@ from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.manifest import MetricRow
 from rollcast.scene import Scenario
 from rollcast.simulation.recording import TEST_START
+from training.baselines.least_squares import POINTS, polynomial
 from training.dataset import Window, fixed_windows, generated_horizon
-from training.metrics import Forecasts, forecast, line_through_ten, stays_put
+from training.metrics import Forecasts, forecast, stays_put
 from training.models.predictor import Family, Network
 from training.simulate import Recording, Source, load_recordings, simulate_split
 from training.splits import Split
-
-LINE_POINTS = 10
 
 
 @dataclass(frozen=True)
@@ -63,14 +62,14 @@ def evaluation_sets(
         recordings = load_recordings(shards)
         history = np.stack([_first_positions(recording) for recording in recordings])
         windows = fixed_windows(recordings, horizon, final_step)
-        sets.append(EvaluationSet(scenario, split, windows, line_through_ten(history, horizon)))
+        sets.append(EvaluationSet(scenario, split, windows, polynomial(history, 1, horizon)))
     return sets
 
 
 def _first_positions(recording: Recording) -> np.ndarray:
     """Return true image positions [objects, 10, 2] of t = -3..6."""
     scenario = recording.scene.scenario
-    seen = recording.trajectory.window(TEST_START[scenario], LINE_POINTS)
+    seen = recording.trajectory.window(TEST_START[scenario], POINTS)
     return camera_for(scenario, NETWORK_FRAME_SIZE).project(seen.positions_m).swapaxes(0, 1)
 
 

@@ -108,15 +108,3 @@ def _joined(parts: Sequence[torch.Tensor | None]) -> np.ndarray | None:
 def stays_put(positions: Float[np.ndarray, "sequences objects steps 2"]) -> np.ndarray:
     """Forecast that every ball rests where it is at t = 0."""
     return np.broadcast_to(positions[:, :, :1], positions.shape)
-
-
-def line_through_ten(
-    history: Float[np.ndarray, "sequences objects ten 2"], horizon: int
-) -> np.ndarray:
-    """Least-squares line through the first ten true positions, t = -3..6 (paper, section 5.1)."""
-    times = np.arange(history.shape[2]) - 3.0
-    design = np.stack([np.ones_like(times), times], axis=1)
-    coefficients = np.einsum("ct,nktd->nkcd", np.linalg.pinv(design), history)
-    future = np.arange(horizon, dtype=float)
-    basis = np.stack([np.ones_like(future), future], axis=1)
-    return np.einsum("tc,nkcd->nktd", basis, coefficients)

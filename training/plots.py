@@ -1,7 +1,7 @@
 """Pictures (matplotlib): errors over time, calibration, ellipses over frames, a run's curves."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from rollcast.scene import SCENARIOS
 from training.dataset import Window
 from training.metrics import Forecasts
 from training.report import title
-from training.results import LEVELS, Curve
+from training.results import LEVELS, Curve, Results
 from training.trainer import EVENTS, LOSS
 
 SIGMAS = 2.0
@@ -59,6 +59,40 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
             title=f"{title(curves[0].scenario, curves[0].objects)}: median and quartiles",
         )  # fmt: skip
         axes.legend(frameon=False, ncols=2)
+        figure.savefig(path, metadata={"Software": None})
+
+
+def draw_bars(results: Results, given_states: Collection[str], path: Path) -> None:
+    """Draw a study's errors as bars, a panel a group; hatched are those who were given states."""
+    groups = sorted({(c.objects, SCENARIOS.index(c.scenario)) for c in results.cells})
+    methods = list(dict.fromkeys(cell.method for cell in results.cells))
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(9, 3.2 * len(groups)), layout="constrained")
+        panels = figure.subplots(len(groups), 1, squeeze=False, sharex=True)[:, 0]
+        for axes, (objects, index) in zip(panels, groups, strict=True):
+            cells = [
+                cell
+                for cell in results.cells
+                if (cell.objects, cell.scenario) == (objects, SCENARIOS[index])
+            ]
+            moments = list(dict.fromkeys(cell.at for cell in cells))
+            for cell in cells:
+                place = methods.index(cell.method) + 0.4 * moments.index(cell.at) - 0.2
+                axes.bar(
+                    place, cell.position_error_px, 0.38, yerr=cell.standard_error_px,
+                    color=PALETTE[moments.index(cell.at)], edgecolor="white",
+                    hatch="///" if cell.method in given_states else None,
+                )  # fmt: skip
+                if cell.paper_px is not None:
+                    axes.plot([place - 0.19, place + 0.19], [cell.paper_px] * 2, "k-")
+            for colour, moment in zip(PALETTE, moments, strict=False):
+                axes.bar(0, 0, color=colour, label=f"{moment}, black lines: the paper's")
+            axes.set(
+                ylabel="position error, px", yscale="log",
+                title=title(SCENARIOS[index], objects),
+            )  # fmt: skip
+            axes.legend(frameon=False)
+        panels[-1].set_xticks(range(len(methods)), methods, rotation=30, ha="right")
         figure.savefig(path, metadata={"Software": None})
 
 

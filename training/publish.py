@@ -15,6 +15,8 @@ from training.metrics import Forecasts
 from training.report import page, picture_name
 from training.results import Results, committed, measure
 from training.simulate import SHARD_SCENES
+from training.studies import tables
+from training.studies.study import Study
 
 RESULTS = "results.json"
 STEPS_BETWEEN_ELLIPSES = 5
@@ -26,7 +28,8 @@ def publish(models: Path, docs: Path, scenes: int, workers: int) -> Results:
     results = measure(folders, scenes, workers)
     folder = docs / "results"
     folder.mkdir(parents=True, exist_ok=True)
-    results.write(folder / RESULTS)
+    file = folder / RESULTS
+    (Results.read(file).with_table(results) if file.exists() else results).write(file)
     (docs / "results.md").write_text(page(results, scenes), encoding="utf-8")
     groups = sorted(results.curves, key=lambda curve: (curve.objects, curve.scenario))
     for (objects, scenario), curves in groupby(groups, lambda c: (c.objects, c.scenario)):
@@ -36,6 +39,23 @@ def publish(models: Path, docs: Path, scenes: int, workers: int) -> Results:
         _examples(folders, workers), STEPS_BETWEEN_ELLIPSES, folder / "ellipses.png"
     )
     return results
+
+
+def publish_study(study: Study, docs: Path) -> None:
+    """Write a study's page and pictures from the results that are there."""
+    folder = docs / "results"
+    results = Results.read(folder / RESULTS).of(study.name)
+    (folder / f"{study.name}.md").write_text(tables.page(study, results), encoding="utf-8")
+    given = {row.method for row in study.rows if row.given_states}
+    plots.draw_bars(results, given, folder / f"{study.name}-bars.png")
+    for subject in study.subjects:
+        curves = [
+            curve
+            for curve in results.curves
+            if (curve.scenario, curve.objects) == (subject.scenario, subject.objects)
+        ]
+        if curves:
+            plots.draw_errors(curves, folder / f"{study.name}-{subject.name}.png")
 
 
 def _examples(folders: Sequence[Path], workers: int) -> list[tuple[str, Window, Forecasts]]:

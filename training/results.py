@@ -30,6 +30,9 @@ from training.paper import published
 LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))
 """Nominal shares of truths inside an ellipse at which calibration is measured."""
 
+MODELS = "models"
+"""The table of the committed models."""
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -45,6 +48,8 @@ class Cell:
         "T=20", the error of step 19, or "worst step".
     paper_px
         The paper's cell for the same variant.
+    study
+        Which table it belongs to: MODELS, or a study's name.
     """
 
     scenario: Scenario
@@ -61,6 +66,7 @@ class Cell:
     coverage_50: float | None = None
     coverage_95: float | None = None
     paper_px: float | None = None
+    study: str = MODELS
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,8 @@ class Curve:
         Lower quartile, median and upper quartile at every step.
     coverage
         Share of truths inside the ellipse of each of LEVELS, over all steps up to T_train.
+    study
+        Which table it belongs to.
     """
 
     scenario: Scenario
@@ -81,14 +89,37 @@ class Curve:
     trained_horizon: int | None
     quartiles_px: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
     coverage: tuple[float, ...] | None = None
+    study: str = MODELS
 
 
 @dataclass(frozen=True)
 class Results:
-    """Everything that was measured."""
+    """Everything that was measured: the committed models' table, and the studies'."""
 
     cells: tuple[Cell, ...]
     curves: tuple[Curve, ...]
+
+    def of(self, study: str) -> "Results":
+        """Return the figures of one table."""
+        return Results(
+            tuple(cell for cell in self.cells if cell.study == study),
+            tuple(curve for curve in self.curves if curve.study == study),
+        )
+
+    def with_table(self, other: "Results") -> "Results":
+        """Replace the committed models' table."""
+        return Results(
+            (*other.cells, *(cell for cell in self.cells if cell.study != MODELS)),
+            (*other.curves, *(curve for curve in self.curves if curve.study != MODELS)),
+        )
+
+    def with_row(self, cells: Sequence[Cell], curve: Curve) -> "Results":
+        """Replace one method's figures on one subject of a study, or add them."""
+        row = _row(curve)
+        return Results(
+            (*(cell for cell in self.cells if _row(cell) != row), *cells),
+            (*(known for known in self.curves if _row(known) != row), curve),
+        )
 
     def write(self, path: Path) -> None:
         """Write a JSON file with a line a figure, so that versions can be compared."""
@@ -115,6 +146,10 @@ class Results:
                 for curve in stored["curves"]
             ),
         )
+
+
+def _row(figure: Cell | Curve) -> tuple[str, str, int, str]:
+    return figure.study, figure.scenario, figure.objects, figure.method
 
 
 def committed(models: Path) -> list[Path]:
@@ -180,7 +215,7 @@ def _measure_model(
     inside = forecasts.calibration(LEVELS)
     trained = manifest.trained_horizon
     shares = None if inside is None else tuple(rounded(inside[k][:trained].mean()) for k in LEVELS)
-    curve = _curve(scenario, manifest.objects, manifest.label, trained, errors)
+    curve = curve_of(scenario, manifest.objects, manifest.label, trained, errors)
     return cells, replace(curve, coverage=shares)
 
 
@@ -201,7 +236,7 @@ def _measure_baselines(part: EvaluationSet, objects: int) -> list[tuple[list[Cel
                     paper_px=None if paper is None else paper.position_error_px,
                 )
             )
-        made.append((cells, _curve(part.scenario, objects, method, None, errors)))
+        made.append((cells, curve_of(part.scenario, objects, method, None, errors)))
     return made
 
 
@@ -211,9 +246,10 @@ def _with_error(cell: Cell, at: str, errors: np.ndarray) -> Cell:
     return replace(cell, at=at, position_error_px=error, standard_error_px=spread)
 
 
-def _curve(
+def curve_of(
     scenario: Scenario, objects: int, method: str, trained: int | None, errors: np.ndarray
 ) -> Curve:
+    """Error over time from errors [sequences, objects, steps]."""
     low, middle, high = np.quantile(errors, (0.25, 0.5, 0.75), axis=(0, 1)).round(3).tolist()
     return Curve(scenario, objects, method, trained, (tuple(low), tuple(middle), tuple(high)))
 

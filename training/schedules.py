@@ -110,3 +110,32 @@ class Plateau:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a checkpoint."""
         vars(self).update(state)
+
+
+class Exponential:
+    """A rate that falls by a constant factor, down to ``end`` of the first one.
+
+    Parameters
+    ----------
+    end
+        Share of the first rate that is left when the budget is spent.
+    """
+
+    finished = False
+
+    def __init__(self, end: float) -> None:
+        self._end = end
+
+    def factor(self, spent: float) -> float:
+        """Factor on the learning rate when a share ``spent`` of the budget is gone."""
+        return self._end**spent
+
+    def observe(self, loss: float, sequences: int) -> None:
+        """Do nothing: only the budget counts."""
+
+    def state(self) -> dict[str, Any]:
+        """Return nothing: the share of the budget tells all."""
+        return {}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Do nothing."""

@@ -230,10 +230,23 @@ class World:
 
     def speeds_m_s(self) -> list[float]:
         """Speed of every ball's centre."""
+        return [math.hypot(*velocity) for velocity in self.velocities_m_s()]
+
+    def velocities_m_s(self) -> list[Vector3]:
+        """Velocity of every ball's centre."""
         return [
-            math.hypot(*pybullet.getBaseVelocity(ball, physicsClientId=self._client)[0])
-            for ball in self._balls
+            pybullet.getBaseVelocity(ball, physicsClientId=self._client)[0] for ball in self._balls
         ]
+
+    def place(self, state: State, velocities_m_s: Sequence[Vector3]) -> None:
+        """Go on from another state of the balls, with their centres' velocities."""
+        moves = zip(self._balls, *state, velocities_m_s, strict=True)
+        for ball, centre, orientation, spin, velocity in moves:
+            pybullet.resetBasePositionAndOrientation(
+                ball, centre, orientation, physicsClientId=self._client
+            )
+            pybullet.resetBaseVelocity(ball, velocity, spin, physicsClientId=self._client)
+        self._centres = list(state.centres)
 
     def state(self) -> State:
         """Tell what the balls do now."""

@@ -1,0 +1,147 @@
+"""True states, for networks that see no frames (paper, section 5.1: NPE and IFS).
+
+Lengths are halves of the frame, x to the right and y down from its centre, so velocities are
+halves of the frame a frame; angular velocities are those of the world's axes in multiples of
+:data:`training.models.predictor.ANGULAR_VELOCITY_UNIT`.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
+from rollcast.scene import Scene
+from rollcast.simulation.recording import TEST_START
+from rollcast.trajectory import FIRST_FORECAST_FRAME
+from training.models.predictor import ANGULAR_VELOCITY_UNIT
+from training.simulate import Recording
+
+HALF_FRAME_PX = NETWORK_FRAME_SIZE / 2
+
+
+class States(NamedTuple):
+    """Consecutive true states of several sequences, from t = -3 on."""
+
+    positions: Tensor
+    """[B, N, T, 2]"""
+    velocities: Tensor
+    """Since the frame before [B, N, T, 2]."""
+    spins: Tensor
+    """[B, N, T, 3]"""
+    bowl: Tensor
+    """Axis ratio, and cosine and sine of twice its axis' angle [B, 3]; zeros on heightfields."""
+
+    def until(self, frames: int) -> "States":
+        """Return the first frames of every sequence."""
+        return self._frames(slice(frames))
+
+    def last(self, frames: int) -> "States":
+        """Return the last frames of every sequence."""
+        return self._frames(slice(-frames, None))
+
+    def _frames(self, chosen: slice) -> "States":
+        return States(
+            self.positions[:, :, chosen],
+            self.velocities[:, :, chosen],
+            self.spins[:, :, chosen],
+            self.bowl,
+        )
+
+    def per_ball(self, *, angular_velocity: bool) -> Tensor:
+        """Return position, velocity, perhaps spin, and the bowl of every ball [B, N, T, C]."""
+        bowl = self.bowl[:, None, None].expand(*self.positions.shape[:3], -1)
+        moving = [self.positions, self.velocities / VELOCITY_UNIT]
+        return torch.cat([*moving, *([self.spins] if angular_velocity else []), bowl], dim=-1)
+
+
+VELOCITY_UNIT = 0.1
+"""Halves of the frame a frame: about as fast as balls are, so that networks see numbers near 1."""
+
+
+class StateSet:
+    """Every scene of some recordings, which have equally many balls and frames."""
+
+    def __init__(self, recordings: Sequence[Recording]) -> None:
+        scenario = recordings[0].scene.scenario
+        camera = camera_for(scenario, NETWORK_FRAME_SIZE)
+        centres = np.stack([recording.trajectory.positions_m for recording in recordings])
+        spins = np.stack([one.trajectory.angular_velocities_rad_s for one in recordings])
+        positions = camera.project(centres) / HALF_FRAME_PX - 1
+        self._positions = torch.from_numpy(positions.astype(np.float32)).transpose(1, 2)
+        self._spins = torch.from_numpy(
+            (spins / ANGULAR_VELOCITY_UNIT).astype(np.float32)
+        ).transpose(1, 2)
+        self._bowls = torch.tensor([_bowl(recording.scene) for recording in recordings])
+        self._test_start = TEST_START[scenario]
+
+    def window(self, scenes: Tensor, starts: Tensor, frames: int) -> States:
+        """Return ``frames`` states of each scene from a frame on, which is at least the second."""
+        times = starts[:, None] + torch.arange(-1, frames)
+        positions = _gathered(self._positions, scenes, times)
+        return States(
+            positions[:, :, 1:],
+            positions[:, :, 1:] - positions[:, :, :-1],
+            _gathered(self._spins, scenes, times[:, 1:]),
+            self._bowls[scenes],
+        )
+
+    def fixed(self, horizon: int) -> States:
+        """Return every scene from the test start up to step ``horizon - 1``."""
+        scenes = torch.arange(len(self._bowls))
+        starts = torch.full_like(scenes, self._test_start)
+        return self.window(scenes, starts, FIRST_FORECAST_FRAME + horizon)
+
+    def drawn(
+        self, frames: int, latest_start: int, batch_size: int, seed: int, first_batch: int
+    ) -> Iterator[States]:
+        """Draw batches for ever, turned and mirrored; batch k depends on the seed and k alone."""
+        number = first_batch
+        while True:
+            generator = np.random.default_rng([seed, number])
+            scenes = torch.from_numpy(generator.integers(len(self._bowls), size=batch_size))
+            starts = torch.from_numpy(generator.integers(1, latest_start + 1, size=batch_size))
+            turns = torch.from_numpy(generator.integers(4, size=batch_size))
+            mirrored = torch.from_numpy(generator.integers(2, size=batch_size)).bool()
+            yield turned(self.window(scenes, starts, frames), turns, mirrored)
+            number += 1
+
+
+def turned(states: States, quarter_turns: Tensor, mirrored: Tensor) -> States:
+    """Turn sequences counter-clockwise as seen, then mirror some in x.
+
+    The same symmetries as :class:`training.dataset.Symmetry` has for frames.
+    """
+    angle = quarter_turns * (torch.pi / 2)
+    cos, sin = angle.cos().round(), angle.sin().round()
+    flip = 1 - 2 * mirrored.float()
+    # As seen, so image (x, y) -> (y, -x); world (x, y) -> (-y, x); twice that for the axis.
+    in_image = torch.stack([torch.stack([cos, sin], 1), torch.stack([-sin, cos], 1)], 1)
+    in_image = in_image * torch.stack([flip, torch.ones_like(flip)], 1)[:, :, None]
+    in_world = torch.zeros(len(angle), 3, 3)
+    in_world[:, 0, 0], in_world[:, 0, 1] = cos, -sin
+    in_world[:, 1, 0], in_world[:, 1, 1] = flip * sin, flip * cos
+    in_world[:, 2, 2] = flip
+    ratio, twice_cos, twice_sin = states.bowl.unbind(1)
+    half_turn = 1 - 2 * (quarter_turns % 2).float()
+    return States(
+        torch.einsum("bij,bntj->bnti", in_image, states.positions),
+        torch.einsum("bij,bntj->bnti", in_image, states.velocities),
+        torch.einsum("bij,bntj->bnti", in_world, states.spins),
+        torch.stack([ratio, half_turn * twice_cos, flip * half_turn * twice_sin], 1),
+    )
+
+
+def _gathered(values: Tensor, scenes: Tensor, times: Tensor) -> Tensor:
+    """Take the times [B, T] of scenes [B] out of values [S, N, F, C]: [B, N, T, C]."""
+    return values[scenes[:, None], :, times].transpose(1, 2)
+
+
+def _bowl(scene: Scene) -> tuple[float, float, float]:
+    if scene.axis_ratio is None:
+        return 0.0, 0.0, 0.0
+    # The image's y points down.
+    angle = -2 * scene.rotation_rad
+    return scene.axis_ratio, float(np.cos(angle)), float(np.sin(angle))

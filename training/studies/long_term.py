@@ -1,0 +1,47 @@
+"""Long-term prediction: one ball in three scenarios, two and three in ellipsoidal bowls."""
+
+from training.studies.rows import BUDGET, Row, ifs, least_squares, npe, oracle, resting
+from training.studies.study import Study
+from training.studies.subject import Subject
+
+SIMULATOR_NOISE_PX = (0.25, 0.5)
+CAPTION = f"""Every cell: mean error on 500 test scenes in 128-pixel units, that of angular velocity
+in rad/s in brackets, and the paper's error after the stroke. Every row that learns saw {BUDGET:,}
+sequences of each kind of scene; the paper's saw about 17 million. "Given states" are methods that
+start from true positions; the simulator is the world itself, restarted from the true state or from
+the motion that fits four positions with so much noise best. Bold is the best of those that see
+frames. T_train is {{trained}}, T_gen {{generated}}."""
+
+
+def _fixed() -> tuple[Row, ...]:
+    """Rows that learn nothing."""
+    return (
+        resting(),
+        least_squares("line", 1),
+        least_squares("quadratic", 2),
+        oracle(None),
+        *(oracle(noise) for noise in SIMULATOR_NOISE_PX),
+    )
+
+
+LONG_TERM = Study(
+    "long-term",
+    "Long-term prediction",
+    CAPTION.format(trained=20, generated=40),
+    (Subject("hemisphere"), Subject("ellipsoid"), Subject("heightfield")),
+    (
+        *_fixed(),
+        npe(angular_velocity=False),
+        npe(angular_velocity=True),
+        ifs(angular_velocity=False),
+        ifs(angular_velocity=True),
+    ),
+)
+
+SEVERAL_BALLS = Study(
+    "several-balls",
+    "Two and three balls",
+    CAPTION.format(trained=15, generated=30),
+    (Subject("ellipsoid", 2), Subject("ellipsoid", 3)),
+    (*_fixed(), npe(angular_velocity=True), ifs(angular_velocity=True)),
+)

@@ -1,0 +1,170 @@
+"""How each method of the tables comes to its forecasts: fitted, trained, or simulated."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+from training.baselines.fitting import Course, fit
+from training.baselines.ifs import FRAMES, Ifs
+from training.baselines.learner import Learner
+from training.baselines.least_squares import POINTS, polynomial
+from training.baselines.npe import GIVEN, Npe
+from training.baselines.oracle import Oracle
+from training.baselines.states import States, StateSet
+from training.metrics import Forecasts, beside_truth, stays_put
+from training.schedules import Exponential, Plateau
+from training.settings import runs_folder
+from training.studies.subject import FixedScenes, Subject
+
+BUDGET = 60_000
+"""Training sequences of every row that learns."""
+VALIDATION_SCENES = 100
+PLAIN = " without angular velocity"
+"""What the paper adds to the name of a method that neither sees nor predicts it."""
+NPE_BATCH, NPE_DECAY, NPE_DECAY_BATCHES = 50, 0.99, 2500
+IFS_BATCH = 4
+
+
+@dataclass(frozen=True)
+class Row:
+    """A method of a table.
+
+    Attributes
+    ----------
+    method
+        Its name, as in ``paper.json`` where the paper has it.
+    forecasts
+        Trains it if need be and forecasts test scenes up to T_gen, in so many processes.
+    sequences
+        Training sequences; None for what learns nothing.
+    given_states
+        Whether it is given true states or positions instead of frames.
+    """
+
+    method: str
+    forecasts: Callable[[FixedScenes, int], Forecasts]
+    sequences: int | None
+    given_states: bool
+
+
+def resting() -> Row:
+    """Stays put."""
+
+    def forecasts(test: FixedScenes, workers: int) -> Forecasts:  # noqa: ARG001
+        truth = np.stack([window.positions for window in test.truth])
+        return beside_truth(test.truth, stays_put(truth), None, None)
+
+    return Row("stays put", forecasts, None, given_states=True)
+
+
+def least_squares(method: str, degree: int) -> Row:
+    """Linear or Quadratic."""
+
+    def forecasts(test: FixedScenes, workers: int) -> Forecasts:  # noqa: ARG001
+        horizon = test.subject.horizon
+        positions = polynomial(test.seen_positions(POINTS), degree, horizon)
+        spins = polynomial(test.first_spins(), degree, horizon)
+        return beside_truth(test.truth, positions, None, spins)
+
+    return Row(method, forecasts, None, given_states=True)
+
+
+def oracle(noise_px: float | None) -> Row:
+    """Return the simulator, restarted from the truth or from four positions with noise."""
+
+    def forecasts(test: FixedScenes, workers: int) -> Forecasts:  # noqa: ARG001
+        simulator = Oracle()
+        horizon = test.subject.horizon
+        positions: list[np.ndarray] = []
+        spins: list[np.ndarray] = []
+        seen = test.seen_positions(OBSERVED_FRAMES)
+        for recording, exact in zip(test.recordings, seen, strict=True):
+            scene = recording.scene
+            if noise_px is None:
+                path = simulator.from_truth(scene, test.start, horizon)
+            else:
+                noise = np.random.default_rng(scene.seed).normal(0, noise_px, exact.shape)
+                path = simulator.from_positions(scene, exact + noise, horizon)
+            positions.append(path.positions)
+            spins.append(path.angular_velocities)
+        simulator.close()
+        return beside_truth(test.truth, np.stack(positions), None, np.stack(spins))
+
+    method = "simulator" if noise_px is None else f"simulator, {noise_px} px"
+    return Row(method, forecasts, None, given_states=True)
+
+
+def npe(*, angular_velocity: bool, budget: int = BUDGET) -> Row:
+    """NPE, trained as published: RMSProp at 3e-4, 0.99 of it after every 2,500 batches of 50.
+
+    A sequence is taken apart into as many samples as it has steps to predict.
+    """
+
+    def course(subject: Subject, scenes: StateSet) -> Course[States]:
+        frames = FIRST_FORECAST_FRAME + subject.trained_horizon
+        batches = budget * (frames - GIVEN) // NPE_BATCH
+        # Samples begin wherever a step of a training window can.
+        latest = subject.data.latest_start + frames - GIVEN - 1
+        return Course(
+            batches,
+            partial(scenes.drawn, GIVEN + 1, latest, NPE_BATCH, 1),
+            lambda parameters: torch.optim.RMSprop(parameters, 3e-4, alpha=0.99),
+            lambda: Exponential(NPE_DECAY ** (batches / NPE_DECAY_BATCHES)),
+            NPE_BATCH,
+        )
+
+    build = partial(Npe, angular_velocity=angular_velocity)
+    return _from_states("npe" + ("" if angular_velocity else PLAIN), build, course, budget)
+
+
+def ifs(*, angular_velocity: bool, budget: int = BUDGET) -> Row:
+    """IFS, trained as VIN is: Adam at 5e-4, batches of 4; the paper's rule lowers it."""
+
+    def course(subject: Subject, scenes: StateSet) -> Course[States]:
+        return Course(
+            budget // IFS_BATCH,
+            partial(scenes.drawn, FRAMES, subject.data.latest_start, IFS_BATCH, 1),
+            lambda parameters: torch.optim.Adam(parameters, 5e-4),
+            Plateau,
+            IFS_BATCH,
+        )
+
+    build = partial(Ifs, angular_velocity=angular_velocity)
+    return _from_states("ifs" + ("" if angular_velocity else PLAIN), build, course, budget)
+
+
+def _from_states(
+    method: str,
+    build: Callable[[], Learner[States]],
+    course: Callable[[Subject, StateSet], Course[States]],
+    budget: int,
+) -> Row:
+    def forecasts(test: FixedScenes, workers: int) -> Forecasts:
+        subject = test.subject
+        training = StateSet(subject.recordings("training", subject.data.scenes, workers))
+        known = FixedScenes(subject, "validation", VALIDATION_SCENES, workers)
+
+        def validate(learner: Learner[States]) -> float:
+            made = _forecasts(learner, known.states, known)
+            return float(made.errors_px()[:, :, subject.trained_horizon - 1].mean())
+
+        learner = fit(build, course(subject, training), folder(subject, method), validate)
+        with torch.inference_mode():
+            return _forecasts(learner, test.states, test)
+
+    return Row(method, forecasts, budget, given_states=True)
+
+
+def _forecasts(learner: Learner[States], given: States, scenes: FixedScenes) -> Forecasts:
+    positions, spins = learner.forecast(given, scenes.subject.horizon).arrays()
+    return beside_truth(scenes.truth, positions, None, spins)
+
+
+def folder(subject: Subject, method: str) -> Path:
+    """Where a row that learns keeps its checkpoint and its best weights."""
+    return runs_folder() / "studies" / subject.name / method.replace(" ", "-")
