@@ -20,7 +20,7 @@ class Published:
 
 def published(scenario: Scenario, objects: int, method: str, at: str) -> Published | None:
     """Return what the paper prints for a method at a moment, "T=20" for example."""
-    return _CELLS.get((scenario, objects, method, at))
+    return CELLS.get((scenario, objects, method, at))
 
 
 def angular_speed_rad_s(scenario: Scenario) -> float:
@@ -29,9 +29,10 @@ def angular_speed_rad_s(scenario: Scenario) -> float:
 
 
 _PAPER: dict[str, Any] = json.loads(Path(__file__).with_suffix(".json").read_text("utf-8"))
-_CELLS: Mapping[tuple[str, int, str, str], Published] = {
+CELLS: Mapping[tuple[str, int, str, str], Published] = {
     (cell["scenario"], cell["objects"], cell["method"], cell["at"]): Published(
         cell["position_error_px"], cell.get("angular_velocity_rmse"), cell.get("perplexity")
     )
     for cell in _PAPER["cells"]
 }
+"""Every cell by scenario, number of balls, method and moment."""

@@ -8,7 +8,8 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
+from matplotlib.lines import Line2D
+from matplotlib.patches import Ellipse, Patch
 from matplotlib.ticker import LogFormatter
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -85,13 +86,16 @@ def draw_bars(results: Results, given_states: Collection[str], path: Path) -> No
                 )  # fmt: skip
                 if cell.paper_px is not None:
                     axes.plot([place - 0.19, place + 0.19], [cell.paper_px] * 2, "k-")
-            for colour, moment in zip(PALETTE, moments, strict=False):
-                axes.bar(0, 0, color=colour, label=f"{moment}, black lines: the paper's")
+            named = [
+                *(Patch(color=PALETTE[place], label=at) for place, at in enumerate(moments)),
+                Line2D([], [], color="black", label="the paper's"),
+            ]
             axes.set(
-                ylabel="position error, px", yscale="log",
+                ylabel="position error, px", yscale="log", ylim=(0.3, 300),
                 title=title(SCENARIOS[index], objects),
             )  # fmt: skip
-            axes.legend(frameon=False)
+            axes.yaxis.set_major_formatter(LogFormatter())
+            axes.legend(handles=named, frameon=False, ncols=3, loc="upper right")
         panels[-1].set_xticks(range(len(methods)), methods, rotation=30, ha="right")
         figure.savefig(path, metadata={"Software": None})
 

@@ -46,7 +46,7 @@ def publish_study(study: Study, docs: Path) -> None:
     folder = docs / "results"
     results = Results.read(folder / RESULTS).of(study.name)
     (folder / f"{study.name}.md").write_text(tables.page(study, results), encoding="utf-8")
-    given = {row.method for row in study.rows if row.given_states}
+    given = {row.method for row in study.rows() if row.given_states}
     plots.draw_bars(results, given, folder / f"{study.name}-bars.png")
     for subject in study.subjects:
         curves = [

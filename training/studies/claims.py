@@ -90,10 +90,8 @@ def _of_several(better: str, worse: str, at: str) -> tuple[Comparison, ...]:
     return tuple(Comparison("ellipsoid", objects, better, worse, at) for objects in (2, 3))
 
 
-def _all(
-    of: Callable[[str], tuple[Comparison, ...]], names: Sequence[str]
-) -> tuple[Comparison, ...]:
-    return tuple(one for name in names for one in of(name))
+def _of_ours(of: Callable[[str], tuple[Comparison, ...]]) -> tuple[Comparison, ...]:
+    return tuple(one for name in OURS for one in of(name))
 
 
 CLAIMS = (

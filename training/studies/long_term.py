@@ -1,6 +1,23 @@
 """Long-term prediction: one ball in three scenarios, two and three in ellipsoidal bowls."""
 
-from training.studies.rows import BUDGET, Row, ifs, least_squares, npe, oracle, resting
+from dataclasses import replace
+from pathlib import Path
+
+from training.models.task import Task
+from training.recipes.compact import ONE_BALL_DATA, one_ball
+from training.recipes.recipe import Recipe
+from training.studies.rows import (
+    BUDGET,
+    PLAIN,
+    Row,
+    ifs,
+    least_squares,
+    npe,
+    oracle,
+    ours,
+    resting,
+    shipped,
+)
 from training.studies.study import Study
 from training.studies.subject import Subject
 
@@ -11,6 +28,10 @@ sequences of each kind of scene; the paper's saw about 17 million. "Given states
 start from true positions; the simulator is the world itself, restarted from the true state or from
 the motion that fits four positions with so much noise best. Bold is the best of those that see
 frames. T_train is {{trained}}, T_gen {{generated}}."""
+
+
+MODELS = Path(__file__).parents[2] / "models"
+OURS = ("posnet", "dispnet", "probnet")
 
 
 def _fixed() -> tuple[Row, ...]:
@@ -24,18 +45,40 @@ def _fixed() -> tuple[Row, ...]:
     )
 
 
-LONG_TERM = Study(
-    "long-term",
-    "Long-term prediction",
-    CAPTION.format(trained=20, generated=40),
-    (Subject("hemisphere"), Subject("ellipsoid"), Subject("heightfield")),
-    (
+def of_one_ball(*, angular_velocity: bool) -> Recipe:
+    """Return the compact networks, from nothing, on all three scenarios in equal parts."""
+    usual = tuple(replace(part, share=1.0) for part in ONE_BALL_DATA if not part.source.radius_m)
+    return replace(
+        one_ball(),
+        name="one-ball" if angular_velocity else "one-ball-plain",
+        data=usual,
+        task=Task(angular_velocity=angular_velocity),
+    )
+
+
+def _one_ball() -> tuple[Row, ...]:
+    return (
         *_fixed(),
         npe(angular_velocity=False),
         npe(angular_velocity=True),
         ifs(angular_velocity=False),
         ifs(angular_velocity=True),
-    ),
+        *(ours(of_one_ball(angular_velocity=False), name, name + PLAIN) for name in OURS),
+        *(ours(of_one_ball(angular_velocity=True), name, name) for name in OURS),
+        *(shipped(MODELS / name / "1") for name in (*OURS, "fieldnet")),
+    )
+
+
+def _several_balls() -> tuple[Row, ...]:
+    return (*_fixed(), npe(angular_velocity=True), ifs(angular_velocity=True))
+
+
+LONG_TERM = Study(
+    "long-term",
+    "Long-term prediction",
+    CAPTION.format(trained=20, generated=40),
+    (Subject("hemisphere"), Subject("ellipsoid"), Subject("heightfield")),
+    _one_ball,
 )
 
 SEVERAL_BALLS = Study(
@@ -43,5 +86,5 @@ SEVERAL_BALLS = Study(
     "Two and three balls",
     CAPTION.format(trained=15, generated=30),
     (Subject("ellipsoid", 2), Subject("ellipsoid", 3)),
-    (*_fixed(), npe(angular_velocity=True), ifs(angular_velocity=True)),
+    _several_balls,
 )

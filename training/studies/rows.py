@@ -1,7 +1,7 @@
 """How each method of the tables comes to its forecasts: fitted, trained, or simulated."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+from training.artefact import load_exported
 from training.baselines.fitting import Course, fit
 from training.baselines.ifs import FRAMES, Ifs
 from training.baselines.learner import Learner
@@ -16,10 +17,13 @@ from training.baselines.least_squares import POINTS, polynomial
 from training.baselines.npe import GIVEN, Npe
 from training.baselines.oracle import Oracle
 from training.baselines.states import States, StateSet
-from training.metrics import Forecasts, beside_truth, stays_put
+from training.metrics import Forecasts, beside_truth, forecast, stays_put
+from training.models.predictor import Family, Network
+from training.recipes.recipe import Recipe
 from training.schedules import Exponential, Plateau
 from training.settings import runs_folder
 from training.studies.subject import FixedScenes, Subject
+from training.trainer import BEST, Pace, Trainer
 
 BUDGET = 60_000
 """Training sequences of every row that learns."""
@@ -163,6 +167,47 @@ def _from_states(
 def _forecasts(learner: Learner[States], given: States, scenes: FixedScenes) -> Forecasts:
     positions, spins = learner.forecast(given, scenes.subject.horizon).arrays()
     return beside_truth(scenes.truth, positions, None, spins)
+
+
+def ours(recipe: Recipe, member: str, method: str, budget: int = BUDGET) -> Row:
+    """Return a network of ours, trained from nothing within the tables' budget.
+
+    Its whole family is trained at once, in one training for all scenarios, and serves its other
+    members' rows too.
+
+    Parameters
+    ----------
+    budget
+        Sequences of each kind of scene.
+    """
+    whole = replace(recipe, sequences=budget * len(recipe.data))
+
+    def forecasts(test: FixedScenes, workers: int) -> Forecasts:
+        folder = runs_folder() / "studies" / whole.name
+        Trainer(whole, folder, Pace(simulators=workers)).run()
+        network = whole.build().networks()[member]
+        best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
+        network.load_state_dict(best["weights"][member])
+        return _seeing(network, test)
+
+    return Row(method, forecasts, budget, given_states=False)
+
+
+def shipped(folder: Path) -> Row:
+    """Return a committed model, with the budget that it has had."""
+    manifest, network = load_exported(folder)
+    sequences = manifest.training["sequences"]
+    assert isinstance(sequences, int)
+
+    def forecasts(test: FixedScenes, workers: int) -> Forecasts:  # noqa: ARG001
+        return _seeing(network, test)
+
+    return Row(manifest.label, forecasts, sequences, given_states=False)
+
+
+def _seeing(network: Network, test: FixedScenes) -> Forecasts:
+    alone = Family({"it": network})
+    return forecast(alone, test.windows, test.subject.horizon, torch.device("cpu"))["it"]
 
 
 def folder(subject: Subject, method: str) -> Path:

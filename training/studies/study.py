@@ -1,6 +1,6 @@
 """A study: its rows, measured one by one and kept as soon as they are."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,7 +26,7 @@ class Study:
     title: str
     caption: str
     subjects: tuple[Subject, ...]
-    rows: tuple[Row, ...]
+    rows: Callable[[], tuple[Row, ...]]
 
     def run(self, file: Path, scenes: int, workers: int, methods: Iterable[str]) -> Iterator[str]:
         """Train and measure the rows that ``file`` lacks; yield what has been done.
@@ -39,13 +39,14 @@ class Study:
             Rows to measure; with none, all of them.
         """
         wanted = set(methods)
-        unknown = wanted - {row.method for row in self.rows}
+        rows = self.rows()
+        unknown = wanted - {row.method for row in rows}
         if unknown:
-            known = ", ".join(sorted({row.method for row in self.rows}))
+            known = ", ".join(row.method for row in rows)
             raise ValueError(f"{self.name} has no row {sorted(unknown)}; its rows: {known}")
         for subject in self.subjects:
             test = None
-            for row in self.rows:
+            for row in rows:
                 if wanted and row.method not in wanted:
                     continue
                 if _known(Results.read(file), self.name, subject, row, scenes):

@@ -34,6 +34,7 @@ def page(study: Study, results: Results) -> str:
 def _table(study: Study, results: Results) -> str:
     """Return a line a method; bold are the least errors of those that see only four frames."""
     cells = {(c.scenario, c.objects, c.method, c.at): c for c in results.cells}
+    rows = study.rows()
     columns = [(subject, at) for subject in study.subjects for at in _moments(subject)]
     heads = [f"{title(s.scenario, s.objects)}, {at}" for s, at in columns]
     lines = [
@@ -44,14 +45,14 @@ def _table(study: Study, results: Results) -> str:
         (subject, at): min(
             (
                 cell.position_error_px
-                for row in study.rows
+                for row in rows
                 if not row.given_states and (cell := _found(cells, subject, row.method, at))
             ),
             default=None,
         )
         for subject, at in columns
     }
-    for row in study.rows:
+    for row in rows:
         found = [_found(cells, subject, row.method, at) for subject, at in columns]
         texts = [
             _cell(cell, bold=cell is not None and cell.position_error_px == best[column])
