@@ -29,7 +29,7 @@ def angular_speed_rad_s(scenario: Scenario) -> float:
 
 
 _PAPER: dict[str, Any] = json.loads(Path(__file__).with_suffix(".json").read_text("utf-8"))
-CELLS: Mapping[tuple[str, int, str, str], Published] = {
+CELLS: Mapping[tuple[Scenario, int, str, str], Published] = {
     (cell["scenario"], cell["objects"], cell["method"], cell["at"]): Published(
         cell["position_error_px"], cell.get("angular_velocity_rmse"), cell.get("perplexity")
     )

@@ -47,15 +47,12 @@ def publish_study(study: Study, docs: Path) -> None:
     results = Results.read(folder / RESULTS).of(study.name)
     (folder / f"{study.name}.md").write_text(tables.page(study, results), encoding="utf-8")
     given = {row.method for row in study.rows() if row.given_states}
-    plots.draw_bars(results, given, folder / f"{study.name}-bars.png")
+    if results.cells:
+        plots.draw_bars(results, given, folder / tables.bars_name(study))
     for subject in study.subjects:
-        curves = [
-            curve
-            for curve in results.curves
-            if (curve.scenario, curve.objects) == (subject.scenario, subject.objects)
-        ]
+        curves = tables.curves_of(results, subject)
         if curves:
-            plots.draw_errors(curves, folder / f"{study.name}-{subject.name}.png")
+            plots.draw_errors(curves, folder / tables.curves_name(study, subject))
 
 
 def _examples(folders: Sequence[Path], workers: int) -> list[tuple[str, Window, Forecasts]]:

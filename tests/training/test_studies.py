@@ -73,7 +73,7 @@ def test_the_page_has_every_row_and_its_pictures(measured):
 
 def test_a_row_that_is_not_there_is_named(measured):
     docs, *_ = measured
-    with pytest.raises(ValueError, match="no row .'nobody'.; its rows: stays put, line, npe"):
+    with pytest.raises(ValueError, match=r"no row .'nobody'.; its rows: stays put, line, npe"):
         list(SMALL.run(docs / "results" / "results.json", SHARD_SCENES, 2, ["nobody"]))
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from training.report import title
-from training.results import Cell, Results
+from training.results import Cell, Curve, Results
 from training.studies.claims import CLAIMS, Verdict, verdicts
 from training.studies.study import Study
 from training.studies.subject import Subject
@@ -18,17 +18,35 @@ def page(study: Study, results: Results) -> str:
         f"<!-- Made by `python -m training study {study.name}`; do not edit. -->\n# {study.title}",
         study.caption,
         _table(study, own),
-        f"![Errors at both horizons]({study.name}-bars.png)",
     ]
+    if own.cells:
+        parts.append(f"![Errors at both horizons]({bars_name(study)})")
     parts += [
         f"![Error over time, {title(subject.scenario, subject.objects)}]"
-        f"({study.name}-{subject.name}.png)"
+        f"({curves_name(study, subject)})"
         for subject in study.subjects
+        if curves_of(own, subject)
     ]
     claimed = [claim for claim in CLAIMS if claim.study == study.name]
     if claimed:
         parts += ["## What the paper says of it", _claims(verdicts(claimed, own.cells))]
     return "\n\n".join(parts) + "\n"
+
+
+def bars_name(study: Study) -> str:
+    """Name the picture of a study's errors at both horizons."""
+    return f"{study.name}-bars.png"
+
+
+def curves_name(study: Study, subject: Subject) -> str:
+    """Name the picture of a subject's errors over time."""
+    return f"{study.name}-{subject.name}.png"
+
+
+def curves_of(results: Results, subject: Subject) -> list[Curve]:
+    """Return the errors over time that were measured on a subject."""
+    wanted = (subject.scenario, subject.objects)
+    return [curve for curve in results.curves if (curve.scenario, curve.objects) == wanted]
 
 
 def _table(study: Study, results: Results) -> str:
