@@ -161,6 +161,8 @@ async def read_form(request: Request, model: type[B], lists: frozenset[str]) -> 
         max_fields=MAX_PARTS,
         max_part_size=MAX_TEXT_PART_BYTES,
     )
+    # No body goes through a disk, which may be full: this much memory it may take anyway.
+    parser.spool_max_size = request.app.state.service.settings.max_body_bytes
     try:
         async with _in_time(request):
             form = await parser.parse()

@@ -14,6 +14,7 @@
   x DivergedError              422  the forecast leaves every bound before its horizon
   x QueueFullError             429
   x SimulationLostError        503  the process that simulates died of it, or cannot be started
+  x OutOfMemoryError           503  the machine, or the container, has no memory left for it
   x ModelUnavailableError      503  the model exists and is not served
   x NotReadyError              503  no model is served, yet or any more
   x DeadlineExceededError      504  the answer takes longer than the client waits
@@ -139,6 +140,12 @@ class SimulationLostError(ServiceError):
     """The process that simulates died before it had answered."""
 
     status, slug, title = 503, "simulation-lost", "The simulation was lost"
+
+
+class OutOfMemoryError(ServiceError):
+    """The machine, or the container, has no memory left for the request."""
+
+    status, slug, title = 503, "out-of-memory", "There is not enough memory"
 
 
 class ModelUnavailableError(ServiceError):

@@ -22,6 +22,7 @@ from service.errors import (
     Mistake,
     ModelUnavailableError,
     NotReadyError,
+    OutOfMemoryError,
     QueueFullError,
     ServiceError,
     SimulationLostError,
@@ -32,7 +33,13 @@ from service.protocol import InferError
 MEDIA_TYPE = "application/problem+json"
 PROTOCOL_PATH = "/v2"
 """Root of the Open Inference Protocol."""
-PASSING = (QueueFullError, NotReadyError, ModelUnavailableError, SimulationLostError)
+PASSING = (
+    QueueFullError,
+    NotReadyError,
+    ModelUnavailableError,
+    SimulationLostError,
+    OutOfMemoryError,
+)
 """Refusals after which it is worth while to ask again."""
 LONGEST_VALUE = 100
 """Characters of a wrong value that are sent back."""
@@ -43,7 +50,7 @@ MOST_FAULTS = 4
 
 def install_problem_handlers(app: FastAPI) -> None:
     """Make the app answer every refusal and every failure with a problem document."""
-    for kind in (ServiceError, RequestValidationError, HTTPException, Exception):
+    for kind in (ServiceError, RequestValidationError, HTTPException, MemoryError, Exception):
         app.add_exception_handler(kind, _answer)
 
 
@@ -95,6 +102,8 @@ def _answer(request: Request, error: Exception) -> Response:
             problem = _refusal(error)
             if isinstance(error, PASSING):
                 headers["Retry-After"] = str(request.app.state.service.settings.retry_after_s)
+        case MemoryError():
+            return _answer(request, OutOfMemoryError("There is no memory left for this request."))
         case RequestValidationError():
             parameters = [fault | {"loc": fault["loc"][1:]} for fault in error.errors()]
             problem = _refusal(invalid_values(parameters))

@@ -138,23 +138,33 @@ class RecycledProcess(Executor):
         self._process = _new_process()
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Hand a call to the process; arguments, result and exceptions are pickled."""
-        if self._calls == self._recycle_after:
-            self._replace()
-        self._calls += 1
+        """Hand a call to the process; arguments, result and exceptions are pickled.
+
+        Raises
+        ------
+        BrokenProcessPool
+            When no process can be started: there are no descriptors left, or no memory.
+        """
         try:
-            return self._process.submit(fn, *args, **kwargs)
-        except BrokenProcessPool:
-            self._replace()
-            return self._process.submit(fn, *args, **kwargs)
+            if self._calls == self._recycle_after:
+                self._replace()
+            self._calls += 1
+            try:
+                return self._process.submit(fn, *args, **kwargs)
+            except BrokenProcessPool:
+                self._replace()
+                return self._process.submit(fn, *args, **kwargs)
+        except (OSError, RuntimeError) as error:
+            self._calls = self._recycle_after  # the next call begins with a new one
+            raise BrokenProcessPool("No process can be started.") from error
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Let the running call end, and the process with it."""
         self._process.shutdown(wait, cancel_futures=cancel_futures)
 
     def _replace(self) -> None:
-        self._process.shutdown(wait=False)
-        self._process = _new_process()
+        before, self._process = self._process, _new_process()
+        before.shutdown(wait=False)
         self._calls = 0
 
 

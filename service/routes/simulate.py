@@ -35,7 +35,7 @@ async def simulate_scene(request: Request, service: ServiceState) -> Response:
         raise InvalidValueError.at(error.field, error.value, expected) from error
     except SceneRejectedError as error:
         raise SceneRejectedProblem.at("seed", body.seed, f"another one: {error}") from error
-    except (BrokenProcessPool, OSError) as error:
+    except BrokenProcessPool as error:
         lost = "The process that simulates died or cannot be started; the next call gets a new one."
         raise SimulationLostError(lost) from error
     return Response(content, media_type=JSON)

@@ -1,5 +1,7 @@
 import asyncio
+import multiprocessing
 import os
+import resource
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -109,3 +111,44 @@ def test_a_process_that_dies_is_replaced(process):
     with pytest.raises(BrokenProcessPool):
         process.submit(os._exit, 1).result()
     assert process.submit(max, 1, 2).result() == 2
+
+
+def test_a_process_that_cannot_be_started_is_told_and_started_later(process):
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, before[1]))
+    try:
+        for _ in range(2):
+            with pytest.raises(BrokenProcessPool):
+                process.submit(max, 1, 2)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert process.submit(max, 1, 2).result() == 2
+
+
+def test_no_memory_left_is_503(start):
+    model = samples.served()
+
+    class Hungry(samples.DotPredictor):
+        def encode(self, frames, *, helped=False):
+            raise MemoryError
+
+    hungry = samples.Model("dot", 1, model.manifest, Hungry(model.manifest))
+    client = start(lambda _: samples.Registry([hungry]))
+    for path in ("/predict", "/predict/stream"):
+        answer = client.post(path, json=body())
+        assert (answer.status_code, answer.headers["retry-after"]) == (503, "1")
+        assert answer.json()["type"] == "/problems/out-of-memory"
+
+
+def test_a_lost_simulation_is_503_and_the_next_is_answered(start):
+    client = start()
+    asked = {"scenario": "hemisphere", "seed": 1, "steps": 4, "include_frames": False}
+
+    assert client.post("/simulate", json=asked).status_code == 200
+    children = multiprocessing.active_children()
+    assert children
+    for child in children:
+        child.kill()
+        child.join()
+    statuses = [client.post("/simulate", json=asked).status_code for _ in range(2)]
+    assert statuses in ([503, 200], [200, 200])
