@@ -40,7 +40,7 @@ define step
 	@printf -- '--- %s\n' '$(1)'; $(2) || { printf 'rollcast: FAILED: %s\n' '$(1)' >&2; exit 1; }
 endef
 
-.PHONY: help serve test docs bench browser-test image-test cluster-test scaling fuzz format lint environments lock clean
+.PHONY: help serve test docs bench browser-test image-test cluster-test scaling fuzz faults soak format lint environments lock clean
 .NOTPARALLEL:
 
 help:
@@ -53,6 +53,8 @@ help:
 	@echo 'make cluster-test  try the service on Ray: replicas and nodes are killed under load'
 	@echo 'make scaling  measure the service on Ray, on a machine that does nothing else'
 	@echo 'make fuzz     any bytes into every reader of input, millions of times; FUZZ_SHARE=0.01 for fewer'
+	@echo 'make faults   processes killed, disks full, clocks moved, clients deaf: what a service under load does'
+	@echo 'make soak     100,000 mixed requests and 5,000 simulations: memory, descriptors, times'
 	@echo 'make format   format the code'
 	@echo 'make lint     the checks of make test without its tests'
 	@echo 'make lock     compile requirements/*.txt anew from pyproject.toml (UPGRADE=1: newest versions)'
@@ -105,6 +107,16 @@ scaling:
 fuzz:
 	@tools/environment.sh fuzz
 	@.venv/fuzz/bin/python -m tests.fuzz.run --share $(FUZZ_SHARE)
+
+faults:
+	@tools/environment.sh service
+	@tools/environment.sh bench
+	@.venv/bench/bin/python -m tests.faults.run $(FAULTS_ARGS)
+
+soak:
+	@tools/environment.sh service
+	@tools/environment.sh bench
+	@.venv/bench/bin/python -m tests.soak.serve_long $(SOAK_ARGS)
 
 lint:
 	@tools/environment.sh test --torch

@@ -5,6 +5,7 @@ takes, would hold a descriptor and memory until the client goes away.
 """
 
 import asyncio
+from collections.abc import Callable
 from typing import Any
 
 from uvicorn.config import Config
@@ -26,6 +27,9 @@ class Connection(HttpToolsProtocol):
     ----------
     settings
         Its limits.
+    stopping
+        Whether the service has been told to stop: a client that then kept its connection would send
+        its next request into one that is being closed.
     """
 
     def __init__(
@@ -36,8 +40,10 @@ class Connection(HttpToolsProtocol):
         _loop: asyncio.AbstractEventLoop | None = None,
         *,
         settings: Settings,
+        stopping: Callable[[], bool],
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
+        self._stopping = stopping
         self._receive_s = settings.receive_timeout_s
         self._send_s = settings.send_timeout_s
         self._interval = min(self._receive_s, self._send_s) / LOOKS
@@ -80,6 +86,8 @@ class Connection(HttpToolsProtocol):
     def on_headers_complete(self) -> None:
         """Give the body its own time, and the app a chance to refuse it by name."""
         super().on_headers_complete()
+        if self._stopping():
+            self.cycle.keep_alive = False
         self._awaited_since = self.loop.time() + self._interval
         self._head_bytes = None
 

@@ -28,7 +28,9 @@ class Server(uvicorn.Server):
         super().__init__(
             uvicorn.Config(
                 app,
-                http=partial(Connection, settings=settings),  # pyright: ignore[reportArgumentType]
+                http=partial(  # pyright: ignore[reportArgumentType]
+                    Connection, settings=settings, stopping=lambda: self.should_exit
+                ),
                 log_config=configuration(settings.log_format),
                 access_log=False,  # service.logs has its own
                 timeout_graceful_shutdown=settings.stop_timeout_s,

@@ -63,6 +63,17 @@ class State:
         self.registry = registry
         self.metrics.models(registry)
 
+    def require_open(self) -> None:
+        """Check that what needs no model may still be begun.
+
+        Raises
+        ------
+        NotReadyError
+            While the service drains.
+        """
+        if self.phase == "draining":
+            raise NotReadyError(f"The service is {self.phase}.")
+
     def require_serving(self) -> None:
         """Check that the models are there.
 

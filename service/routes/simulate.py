@@ -25,6 +25,7 @@ router = APIRouter(tags=["simulation"])
 )
 async def simulate_scene(request: Request, service: ServiceState) -> Response:
     """Simulate and draw a scene; the same seed gives the same bytes."""
+    service.require_open()
     media_type(request, (JSON,))
     body = parse_json(await read_body(request), SimulateRequest)
     _check_pixels(body, service.settings.max_simulated_pixels)

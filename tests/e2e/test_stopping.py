@@ -3,6 +3,7 @@
 import signal
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
@@ -67,7 +68,11 @@ def test_nothing_new_is_begun_while_it_drains():
         frames = client.simulate("hemisphere", seed=1, steps=4).frames
         process.send_signal(signal.SIGTERM)
         next(status for status in health(client) if status == "draining")
-        with pytest.raises(ServiceFailedError) as refused:
-            client.predict(frames)
-        assert refused.value.problem.type == "/problems/not-ready"
+        for ask in (
+            partial(client.predict, frames),
+            partial(client.simulate, "hemisphere", seed=1),
+        ):
+            with pytest.raises(ServiceFailedError) as refused:
+                ask()
+            assert refused.value.problem.type == "/problems/not-ready"
     assert stop_service(process) in {0, -signal.SIGTERM}

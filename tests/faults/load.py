@@ -62,6 +62,8 @@ async def one(session: aiohttp.ClientSession, request: Payload) -> str:
             content = await response.read()
     except TimeoutError:
         return NO_ANSWER
+    except aiohttp.ClientConnectorError:
+        return "nobody listens"
     except (aiohttp.ClientError, ConnectionError):
         return "connection closed"
     if response.status == 200:
@@ -100,7 +102,7 @@ class Load:
         while not ended.is_set():
             end = await one(session, next(self._requests))
             self._report.ends[end] += 1
-            if end == "connection closed":
+            if end in {"connection closed", "nobody listens"}:
                 await asyncio.sleep(0.05)
 
     async def until_ready(self) -> None:

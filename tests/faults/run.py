@@ -35,6 +35,8 @@ FAKETIME = Path("/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1")
 LOST = frozenset({"503 simulation-lost"})
 FULL = frozenset({"429 queue-full"})
 CLOSED = frozenset({"connection closed"})
+STOPPING = CLOSED | {"503 not-ready", "503", "nobody listens"}
+"""/v2 has no names for its refusals; what still waits for a listener that closes is closed."""
 
 
 class SkippedError(Exception):
@@ -56,7 +58,7 @@ async def killed_simulation(report: Report, times: int) -> None:
 
 async def told_to_stop(report: Report, times: int) -> None:
     """SIGTERM: what was accepted is answered, what comes later is refused or finds nobody."""
-    report.expected = CLOSED | {"503 not-ready"}
+    report.expected = STOPPING
     for _ in range(times):
         process, address = start_service()
         with Client(address) as client:
@@ -129,7 +131,9 @@ def change_and_load(address: str, folder: Path, change: Callable[[Path], None]) 
     told = httpx2.post(load, timeout=60)
     assert told.status_code == 400, told.text
     path.write_bytes(whole)
-    with subprocess.Popen(["curl", "--silent", "--request", "POST", load]) as loading:
+    with subprocess.Popen(
+        ["curl", "--silent", "--output", "/dev/null", "--request", "POST", load]
+    ) as loading:
         while loading.poll() is None:  # it reads the file somewhere in between
             change(path)
             time.sleep(0.002)
@@ -210,26 +214,28 @@ async def deaf_clients(report: Report, times: int) -> None:
     """Clients ask for long answers and never read them; they are given up, and their memory."""
     with service(ROLLCAST_SEND_TIMEOUT_S="2") as (address, process):
         load = Load(address, report)
-        before = process.num_fds()
         async with load.running():
+            await asyncio.sleep(3)
+            before = process.num_fds()
             for _ in range(times):
                 with ExitStack() as deaf:
-                    for _ in range(20):
+                    for _ in range(5):
                         client = deaf.enter_context(socket.socket())
                         client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
                         client.connect(parts(address))
                         client.sendall(long_simulation())
+                    await asyncio.sleep(6)
                     await load.until_ready()
-                    await asyncio.sleep(4)
-        assert process.num_fds() <= before + 4, process.num_fds()
+            left_behind(process, before)
 
 
 async def slow_senders(report: Report, times: int) -> None:
     """Clients send a byte a second; they are given up."""
     with service(ROLLCAST_RECEIVE_TIMEOUT_S="2") as (address, process):
         load = Load(address, report)
-        before = process.num_fds()
         async with load.running():
+            await asyncio.sleep(3)
+            before = process.num_fds()
             for _ in range(times):
                 with ExitStack() as slow:
                     clients = [
@@ -240,7 +246,14 @@ async def slow_senders(report: Report, times: int) -> None:
                         send_to_whom_listens(clients, piece)
                         await asyncio.sleep(1)
                     await load.until_ready()
-        assert process.num_fds() <= before + 4, process.num_fds()
+                    left_behind(process, before)
+
+
+def left_behind(process: psutil.Process, before: int) -> None:
+    """Check that the connections of clients that are still there have been closed."""
+    held = process.num_fds()
+    if held > before + 4:
+        raise AssertionError(f"{held} descriptors, {before} before")
 
 
 def send_to_whom_listens(clients: list[socket.socket], piece: bytes) -> None:
