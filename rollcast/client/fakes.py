@@ -94,7 +94,8 @@ def forecast(
     """
     side = _side(wish.frames)
     if positions is None:
-        horizon = wish.horizon or DEFAULT_HORIZON
+        between = None if wish.final_step is None else wish.final_step + 1
+        horizon = wish.horizon or between or DEFAULT_HORIZON
         indices = FIRST_FORECAST_FRAME + np.arange(horizon)
         positions = np.stack([_line(ball, indices, side) for ball in range(wish.objects or 1)])
     horizon = wish.horizon or positions.shape[1]

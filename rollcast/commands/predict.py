@@ -22,7 +22,7 @@ from rollcast.commands.options import (
 from rollcast.commands.overlay import draw
 from rollcast.commands.printing import forecast_text
 from rollcast.commands.progress import waiting
-from rollcast.commands.reading import read
+from rollcast.commands.reading import frame_of_step, read
 from rollcast.http import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON
 from rollcast.scene import MAX_OBJECTS, Scenario
 
@@ -40,6 +40,7 @@ Examples:
   rollcast predict clip.mp4 --start 2.0 --crop 100,0,480 --out overlay.png
   rollcast predict clip.mp4 --every 3 --out overlay.mp4 --slower 4
   rollcast predict frames/ --rate 120 --every 3 --format csv > forecast.csv
+  rollcast predict clip.mp4 --final 39 --out between.png
 """
 
 
@@ -58,14 +59,25 @@ def predict(
     every: Every = None,
     rate: Rate = None,
     crop: Crop = None,
+    final: Annotated[
+        int | None,
+        typer.Option(
+            parser=whole_number(1, MAX_HORIZON - 1),
+            metavar="STEP",
+            help="show the frame of this step too, for a forecast in between: 39 with one ball, 29 "
+            "with two or three",
+        ),
+    ] = None,
     horizon: Annotated[
-        int,
+        int | None,
         typer.Option(
             parser=whole_number(1, MAX_HORIZON),
             metavar="STEPS",
-            help="steps to forecast, as far apart as the frames",
+            help="steps to forecast, as far apart as the frames (default: "
+            f"{DEFAULT_HORIZON}; with --final up to that frame)",
+            show_default=False,
         ),
-    ] = DEFAULT_HORIZON,
+    ] = None,
     model: Annotated[
         str, typer.Option(metavar="NAME", help="auto, NAME or NAME@VERSION")
     ] = AUTO_MODEL,
@@ -87,9 +99,14 @@ def predict(
 ) -> Outcome:
     """Read frames, ask the service where the ball goes, say and draw what it answers."""
     observed, later_frames = read(footage, start, every, rate, crop)
+    final_frame = None if final is None else frame_of_step(final, observed, later_frames)
+    if final is None and horizon is None:
+        horizon = DEFAULT_HORIZON
     with client(context, url) as service, waiting("waiting for the service"):
         forecast = service.predict(
             list(observed.frames),
+            final_frame=final_frame,
+            final_step=final,
             horizon=horizon,
             model=model,
             objects=objects,

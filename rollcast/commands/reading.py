@@ -4,6 +4,8 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from rollcast.commands.options import CommandError
 from rollcast.errors import FootageError, MissingExtraError
 from rollcast.footage import RATE_TOLERANCE, Footage, SquareCrop, read_images
@@ -40,6 +42,28 @@ def read(
     images = _images_in(paths[0]) if len(paths) == 1 else paths
     rate = (rate or FRAME_RATE_HZ) / (every or 1)
     return _read_images(images[::every], rate, crop, as_they_are=every is not None)
+
+
+def frame_of_step(step: int, observed: Footage, later_frames: LaterFrames) -> np.ndarray:
+    """Return the frame that shows a step of the forecast.
+
+    Raises
+    ------
+    CommandError
+        When the footage ends before it.
+    """
+    wanted_s = float(observed.times_s[-1]) + step / observed.frame_rate
+    try:
+        found = later_frames([wanted_s])
+    except FootageError:  # a video that ends before
+        found = None
+    half_a_step_s = 0.5 / observed.frame_rate
+    if found is None or not len(found.times_s) or found.times_s[0] < wanted_s - half_a_step_s:
+        raise CommandError(
+            f"--final is {step}, whose frame lies {wanted_s:.2f} s after the start of the footage, "
+            "which ends before"
+        )
+    return found.frames[0]
 
 
 def _read_video(

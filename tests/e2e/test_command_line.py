@@ -168,6 +168,23 @@ def test_a_scene_in_a_folder_is_forecast_where_its_balls_go(address, tmp_path):
     assert np.linalg.norm(forecast - truth[3:23], axis=1).mean() < 5
 
 
+def test_with_its_last_frame_a_scene_is_forecast_in_between(address, tmp_path):
+    scene = tmp_path / "scene"
+    run = rollcast("simulate", "hemisphere", "--seed", 3, "--url", address, "--out", scene)
+    assert (run.returncode, run.stderr) == (0, "")
+    run = predict(scene, "--url", address, "--final", 39, "--format", "json")
+    assert (run.returncode, run.stderr) == (0, "")
+    answer = json.loads(run.stdout)
+    assert len(answer["times_s"]) == 40
+    forecast = np.array(answer["objects"][0]["positions"])
+    with (scene / "truth.csv").open() as file:
+        truth = np.array([[row["x_px"], row["y_px"]] for row in csv.DictReader(file)], float)
+    assert np.linalg.norm(forecast - truth[3:43], axis=1).mean() < 3
+    run = predict(scene, "--url", address, "--final", 20)
+    assert (run.returncode, run.stderr.count("\n")) == (1, 1)
+    assert "39" in run.stderr
+
+
 def test_models_and_the_doctor(address):
     run = rollcast("models", "--url", address)
     assert (run.returncode, run.stderr) == (0, "")

@@ -69,6 +69,27 @@ def test_a_scene_becomes_a_folder_that_predict_reads(run, tmp_path):
         assert float(row["x_px"]) == pytest.approx(float(true["x_px"]))
 
 
+def test_the_frame_of_a_later_step_goes_along(run, tmp_path):
+    assert run("simulate", "hemisphere", "--steps", 20, "--out", tmp_path / "scene")[0] == 0
+    service = FakeService()
+    code, printed, errors = run(
+        "predict", tmp_path / "scene", "--final", 15, "--format", "csv", service=service
+    )
+    assert (code, errors) == (0, "")
+    assert len(printed.splitlines()) == 1 + 16
+    [asked] = service.asked
+    assert asked.fields["final_step"] == "15"
+    assert "horizon" not in asked.fields
+    assert asked.final_frame is not None
+    shown = sorted((tmp_path / "scene").glob("*.png"))[18]
+    with Image.open(io.BytesIO(asked.final_frame)) as sent, Image.open(shown) as picture:
+        assert np.array_equal(np.asarray(sent), np.asarray(picture))
+    code, printed, errors = run("predict", tmp_path / "scene", "--final", 17, service=service)
+    assert (code, printed, errors.count("\n")) == (1, "", 1)
+    assert "--final is 17, whose frame lies 0.50 s after the start of the footage" in errors
+    assert len(service.asked) == 1
+
+
 def test_a_folder_may_have_its_truth_as_json(run, tmp_path):
     (tmp_path / "scene").mkdir()
     assert run("simulate", "hemisphere", "--out", tmp_path / "scene", "--format", "json")[0] == 0
@@ -269,6 +290,7 @@ Usage: rollcast predict [OPTIONS] {VIDEO|FOLDER|IMAGES}...
     rollcast predict clip.mp4 --start 2.0 --crop 100,0,480 --out overlay.png
     rollcast predict clip.mp4 --every 3 --out overlay.mp4 --slower 4
     rollcast predict frames/ --rate 120 --every 3 --format csv > forecast.csv
+    rollcast predict clip.mp4 --final 39 --out between.png
 
 Arguments:
   VIDEO|FOLDER|IMAGES <list[Path]>
@@ -285,7 +307,10 @@ Options:
   --crop X,Y,SIZE                 the square that is looked at: left column, upper row, side, in
                                   pixels (default: the largest in the middle); models know frames
                                   that the bowl or plane just fills
-  --horizon STEPS                 steps to forecast, as far apart as the frames  [default: 40]
+  --final STEP                    show the frame of this step too, for a forecast in between: 39
+                                  with one ball, 29 with two or three
+  --horizon STEPS                 steps to forecast, as far apart as the frames (default: 40; with
+                                  --final up to that frame)
   --model NAME                    auto, NAME or NAME@VERSION  [default: auto]
   --objects BALLS                 how many balls there are (default: the model's, with auto 1)
   --scenario <hemisphere|ellipsoid|heightfield>
