@@ -40,7 +40,7 @@ define step
 	@printf -- '--- %s\n' '$(1)'; $(2) || { printf 'rollcast: FAILED: %s\n' '$(1)' >&2; exit 1; }
 endef
 
-.PHONY: help serve test docs bench browser-test image-test cluster-test scaling fuzz faults soak format lint environments lock clean
+.PHONY: help serve test docs bench browser-test image-test cluster-test scaling fuzz fuzz-api mutate faults soak format lint environments lock clean
 .NOTPARALLEL:
 
 help:
@@ -53,6 +53,8 @@ help:
 	@echo 'make cluster-test  try the service on Ray: replicas and nodes are killed under load'
 	@echo 'make scaling  measure the service on Ray, on a machine that does nothing else'
 	@echo 'make fuzz     any bytes into every reader of input, millions of times; FUZZ_SHARE=0.01 for fewer'
+	@echo 'make fuzz-api  what the description allows, and what it does not, to every route of the real service'
+	@echo 'make mutate   how many changed lines of the core the tests notice'
 	@echo 'make faults   processes killed, disks full, clocks moved, clients deaf: what a service under load does'
 	@echo 'make soak     100,000 mixed requests and 5,000 simulations: memory, descriptors, times'
 	@echo 'make format   format the code'
@@ -107,6 +109,15 @@ scaling:
 fuzz:
 	@tools/environment.sh fuzz
 	@.venv/fuzz/bin/python -m tests.fuzz.run --share $(FUZZ_SHARE)
+
+fuzz-api:
+	@tools/environment.sh service
+	@tools/environment.sh test --torch
+	@$(BIN)/python -m tests.fuzz.api
+
+mutate:
+	@tools/environment.sh mutation
+	@.venv/mutation/bin/python -m tests.mutation.run $(MUTATE_ARGS)
 
 faults:
 	@tools/environment.sh service

@@ -25,7 +25,7 @@ async def index(service: ServiceState) -> list[IndexEntry]:
     ]
 
 
-@router.post("/models/{name}/load", responses=errors_of(400, 404, 503))
+@router.post("/models/{name}/load", response_class=Response, responses=errors_of(400, 404, 503))
 async def load(name: str, service: ServiceState) -> Response:
     """Load every version of a model again from its folder; 400 when one of them is refused."""
     service.require_serving()
@@ -33,7 +33,7 @@ async def load(name: str, service: ServiceState) -> Response:
     return Response(status_code=status.HTTP_200_OK)
 
 
-@router.post("/models/{name}/unload", responses=errors_of(404, 503))
+@router.post("/models/{name}/unload", response_class=Response, responses=errors_of(404, 503))
 async def unload(name: str, service: ServiceState) -> Response:
     """Stop serving a model; forecasts that have begun are answered."""
     service.require_serving()
