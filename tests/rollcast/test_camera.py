@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rollcast.camera import Camera, camera_for
+from rollcast.camera import NETWORK_FRAME_SIZE, Camera, camera_for
 from rollcast.scene import SCENARIOS
 
 cameras = st.builds(
@@ -61,3 +61,9 @@ def test_frames_span_what_the_design_says(scenario):
     camera = camera_for(scenario, 128)
     np.testing.assert_allclose(camera.unproject(np.array([0.0, 0.0])), [-half, half])
     np.testing.assert_allclose(camera.unproject(np.array([128.0, 128.0])), [half, -half])
+
+
+def test_networks_see_128_pixels_through_a_camera_that_stays():
+    assert NETWORK_FRAME_SIZE == 128
+    with pytest.raises(AttributeError):
+        camera_for("hemisphere", 128).image_size = 64

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from rollcast.manifest import EYE_FILE, HASHED_FILES, MANIFEST_FILE, Manifest
+from rollcast.manifest import EYE_FILE, FAMILIARITY_FILE, HASHED_FILES, MANIFEST_FILE, Manifest
 
 FIELDS = {
     "format_version": 1,
@@ -136,3 +136,77 @@ def test_a_manifest_is_readable_line_by_line(tmp_path):
     text = path.read_text()
     assert text.endswith("}\n")
     assert json.loads(text)["name"] == "probnet"
+
+
+ROW = FIELDS["metrics"][0]
+KNOWN = {"threshold": 0.5, "false_alarm_rate": 0.02, "test_windows": 9}
+FAMILIAR = {"files": dict.fromkeys((FAMILIARITY_FILE, *HASHED_FILES), 64 * "a")}
+ALONE = {
+    "objects": 1,
+    "outputs": [{"name": "positions", "shape": [1, 2], "unit": "px"}],
+    "covariance": {"source": "empirical", "empirical": [[[1, 0], [0, 1]]]},
+    "angular_velocity": False,
+    "golden_tolerance": {"positions": 1e-2},
+}
+SWAPPED = {"name": "final_positions", "shape": [2, 2], "unit": "px"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ALONE,
+        final_frame_model(final_step=1),
+        {"trained_horizon": 1},
+        {"validation_error_px": 0},
+        {"version": 1},
+        {"metrics": [ROW | {"horizon": 1, "sequences": 1}]},
+        FAMILIAR | {"unfamiliar": KNOWN | {"false_alarm_rate": 0, "test_windows": 1}},
+        FAMILIAR | {"unfamiliar": KNOWN | {"false_alarm_rate": 1}},
+    ],
+)
+def test_what_lies_on_a_limit_is_accepted(change):
+    assert Manifest.model_validate(FIELDS | change)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"objects": 0}, "objects"),
+        (final_frame_model(final_step=0), "final_step"),
+        ({"trained_horizon": 0}, "trained_horizon"),
+        ({"validation_error_px": -0.5}, "validation_error_px"),
+        ({"metrics": [ROW | {"horizon": 0}]}, "horizon"),
+        ({"metrics": [ROW | {"sequences": 0}]}, "sequences"),
+        ({"metrics": [ROW | {"position_error_px": float("nan")}]}, "finite"),
+        ({"metrics": [ROW | {"colour": "red"}]}, "colour"),
+        (FAMILIAR | {"unfamiliar": KNOWN | {"false_alarm_rate": -0.1}}, "false_alarm_rate"),
+        (FAMILIAR | {"unfamiliar": KNOWN | {"false_alarm_rate": 1.1}}, "false_alarm_rate"),
+        (FAMILIAR | {"unfamiliar": KNOWN | {"test_windows": 0}}, "test_windows"),
+        (FAMILIAR, "belong together"),
+        ({"unfamiliar": KNOWN}, "belong together"),
+        ({"state": []}, "state"),
+        ({"state": [{"name": "", "shape": [1]}]}, "state"),
+        ({"outputs": []}, "at least 1 item"),
+        ({"outputs": [*FIELDS["outputs"][:2], SWAPPED]}, "outputs are"),
+        ({"objects": 3}, "output positions has shape"),
+        ({"files": FIELDS["files"] | {"other.onnx": 64 * "a"}}, "files are"),
+        ({"golden_tolerance": FIELDS["golden_tolerance"] | {"final_positions": 1}}, "golden"),
+        (
+            ALONE | {"covariance": ALONE["covariance"] | {"variance_scale": [1]}},
+            "variance_scale belongs to the source 'predicted'",
+        ),
+    ],
+)
+def test_what_lies_beyond_a_limit_is_refused(change, message):
+    with pytest.raises(ValidationError, match=message):
+        Manifest.model_validate(FIELDS | change)
+
+
+def test_a_manifest_cannot_be_changed_and_is_indented_by_two(tmp_path):
+    manifest = Manifest.model_validate(FIELDS)
+    with pytest.raises(ValidationError, match="frozen"):
+        manifest.name = "other"
+    manifest.write(tmp_path / MANIFEST_FILE)
+    lines = (tmp_path / MANIFEST_FILE).read_text().splitlines()
+    assert lines[1] == '  "format_version": 1,'
+    assert '    "hemisphere"' in lines

@@ -1,6 +1,9 @@
 import contextlib
 import random
+import struct
+import time
 import warnings
+import zlib
 
 import numpy as np
 import pytest
@@ -10,7 +13,7 @@ from PIL import Image
 
 from service.errors import BrokenImageError, InvalidValueError, NotAnImageError, ServiceError
 from service.images import decode_frames
-from tests.service.samples import dot, encode, png, png_header
+from tests.service.samples import dot, encode, png, png_chunk, png_header
 
 
 def decoded(data: bytes) -> np.ndarray:
@@ -84,6 +87,46 @@ def test_transparency_lies_on_white():
     frame = decoded(encode(image, "PNG"))
     np.testing.assert_array_equal(frame[:, :64], np.broadcast_to([0, 0, 255], (128, 64, 3)))
     np.testing.assert_array_equal(frame[:, 64:], 255)
+
+
+@pytest.mark.parametrize("kind", ["PNG", "WEBP"])
+def test_of_an_animation_the_first_picture_is_read(kind):
+    first, second = (Image.fromarray(dot(x, 60)) for x in (30, 90))
+    options = {"lossless": True} if kind == "WEBP" else {}
+    data = encode(first, kind, save_all=True, append_images=[second], duration=40, **options)
+    np.testing.assert_array_equal(decoded(data), dot(30, 60))
+
+
+def test_an_animation_of_a_thousand_pictures_costs_no_more_than_one():
+    blank = Image.new("L", (128, 128))
+    data = encode(blank, "PNG", save_all=True, append_images=[Image.new("L", (128, 128), 9)] * 999)
+    started = time.perf_counter()
+    decoded(data)
+    assert time.perf_counter() - started < 1
+
+
+def test_sixteen_bits_of_colour_become_eight():
+    pixels = noise(64).astype(np.uint16) * 257
+    rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in pixels)
+    header = struct.pack(">IIBBBBB", 64, 64, 16, 2, 0, 0, 0)
+    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
+    data = b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks)
+    np.testing.assert_array_equal(decoded(data), decoded(png(noise(64))))
+
+
+@pytest.mark.parametrize("sides", [(0, 0), (0, 128), (128, 0), (2**31 - 1, 2**31 - 1)])
+def test_a_picture_without_pixels_or_with_too_many_is_refused_by_its_header(sides):
+    data = png_header(*sides)
+    with pytest.raises((InvalidValueError, BrokenImageError)):
+        decoded(data)
+
+
+def test_text_that_unfolds_to_megabytes_is_refused():
+    """A bomb beside the pixels: compressed text, of which Pillow reads a part and no more."""
+    whole = png(noise(64))
+    bomb = png_chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(200_000_000), 9))
+    with pytest.raises(BrokenImageError):
+        decoded(whole[:33] + bomb + whole[33:])
 
 
 def test_cmyk_becomes_rgb():
