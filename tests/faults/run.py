@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -271,8 +271,12 @@ def parts(address: str) -> tuple[str, int]:
 
 
 def simulating(process: psutil.Process) -> list[psutil.Process]:
-    """The processes that simulate."""
-    return [child for child in process.children() if "spawn_main" in " ".join(child.cmdline())]
+    """The processes that simulate and are alive."""
+    found: list[psutil.Process] = []
+    for child in process.children():
+        with suppress(psutil.Error):
+            found += [child] if "spawn_main" in " ".join(child.cmdline()) else []
+    return found
 
 
 def large_parts(address: str) -> int:
