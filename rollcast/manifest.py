@@ -226,5 +226,10 @@ class Manifest(_Part):
         return cls.model_validate_json(path.read_bytes())
 
     def write(self, path: Path) -> None:
-        """Write the manifest as indented JSON, so that versions can be compared line by line."""
-        path.write_text(self.model_dump_json(indent=2) + "\n", encoding="utf-8")
+        """Write the manifest as indented JSON, so that versions can be compared line by line.
+
+        It is there wholly or not at all: whoever writes an artefact writes it last.
+        """
+        unfinished = path.with_name(f"{path.name}.tmp")
+        unfinished.write_text(self.model_dump_json(indent=2) + "\n", encoding="utf-8")
+        unfinished.replace(path)

@@ -16,7 +16,7 @@ from service.settings import Settings
 from tests.service import samples
 from tests.service.samples import body
 
-TIMEOUT_S = 0.4
+TIMEOUT_S = 0.3
 PATIENCE_S = 5.0
 """Far more than the service takes for any of this."""
 
