@@ -8,7 +8,7 @@ from typing import Any, NoReturn, TypeVar
 
 from fastapi import Request
 from pydantic import BaseModel, ValidationError
-from starlette.datastructures import UploadFile
+from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect
 
@@ -166,21 +166,27 @@ async def read_form(request: Request, model: type[B], lists: frozenset[str]) -> 
     try:
         async with _in_time(request):
             form = await parser.parse()
+        data = await _parts(form, lists)
     except MultiPartException as error:
         raise MalformedBodyError(f"The body is not multipart: {error.message}") from error
-    data: dict[str, Any] = {}
-    try:
-        for name, part in form.multi_items():
-            value = await part.read() if isinstance(part, UploadFile) else part
-            if name in lists:
-                data.setdefault(name, []).append(value)
-            elif name in data:
-                raise InvalidValueError.at(name, value, "one part of this name")
-            else:
-                data[name] = value
     finally:
-        await form.close()
+        # Those of parts that never ended are in no form, and nobody else closes them.
+        for file in parser._files_to_close_on_error:  # pyright: ignore[reportPrivateUsage]
+            file.close()
     return _validate(model, data, strict=False)
+
+
+async def _parts(form: FormData, lists: frozenset[str]) -> dict[str, Any]:
+    data: dict[str, Any] = {}
+    for name, part in form.multi_items():
+        value = await part.read() if isinstance(part, UploadFile) else part
+        if name in lists:
+            data.setdefault(name, []).append(value)
+        elif name in data:
+            raise InvalidValueError.at(name, value, "one part of this name")
+        else:
+            data[name] = value
+    return data
 
 
 def _validate(model: type[B], data: object, *, strict: bool | None) -> B:
