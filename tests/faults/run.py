@@ -153,7 +153,7 @@ async def clock_steps(report: Report, times: int) -> None:
         clock = {
             "LD_PRELOAD": str(FAKETIME),
             "FAKETIME_TIMESTAMP_FILE": str(offset),
-            "FAKETIME_NO_CACHE": "1",
+            "FAKETIME_CACHE_DURATION": "1",
             "DONT_FAKE_MONOTONIC": "1",
         }
         with service(**clock) as (address, _):
@@ -163,6 +163,7 @@ async def clock_steps(report: Report, times: int) -> None:
                 report.ready_after_s.clear()  # that was the start, not the fault
                 for step in itertools.islice(itertools.cycle(STEPS), times):
                     offset.write_text(step)
+                    await asyncio.sleep(1.1)  # until it has been read
                     await load.until_ready()
                     said = await asyncio.to_thread(lambda: httpx2.get(address).headers["date"])
                     if step in {"+10y", "-10y"}:
