@@ -1,6 +1,7 @@
 """What a real listener does with clients that are slow, that never end or that never read."""
 
 import json
+import logging
 import socket
 import threading
 import time
@@ -26,6 +27,8 @@ def served(folder, load=samples.registry, **limits: object) -> Iterator[tuple[st
     """The service on a port of its own, in a thread."""
     limits = {"receive_timeout_s": TIMEOUT_S, "send_timeout_s": TIMEOUT_S} | limits
     settings = Settings(models_dir=folder, stop_timeout_s=1, **limits)
+    log = logging.getLogger()
+    level, handlers = log.level, [*log.handlers]
     server = Server(create_app(settings, load), settings)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         listener.setsockopt(
@@ -41,6 +44,9 @@ def served(folder, load=samples.registry, **limits: object) -> Iterator[tuple[st
         finally:
             server.should_exit = True
             thread.join()
+            # A server sets up the log of its whole process, which others of these tests read.
+            log.setLevel(level)
+            log.handlers[:] = handlers
 
 
 @pytest.fixture
