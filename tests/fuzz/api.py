@@ -45,20 +45,28 @@ def main() -> int:
     parser.add_argument("--examples", type=int, default=250, help="of every route, at most")
     given = parser.parse_args()
     process, address = start_service(ROLLCAST_MAX_SIMULATED_PIXELS=str(MOST_PIXELS))
-    with Client(address) as client:
-        wait_until_ready(client)
-    with tempfile.TemporaryDirectory() as scratch:
-        report = Path(scratch) / "report.ndjson"
-        command = [
-            *(SCHEMATHESIS, "--config-file", CONFIGURATION, "run", f"{address}/openapi.json"),
-            *("--checks", "all", "--max-examples", str(given.examples), "--continue-on-failure"),
-            *("--generation-deterministic", "--request-timeout", "60", "--warnings", "off"),
-            *("--report", "ndjson", "--report-ndjson-path", report),
-        ]
-        ended = subprocess.run(command, cwd=scratch, check=False)
-        told = statuses(report)
-    alive = process.poll() is None
-    stop_service(process)
+    try:
+        with Client(address) as client:
+            wait_until_ready(client)
+        with tempfile.TemporaryDirectory() as scratch:
+            report = Path(scratch) / "report.ndjson"
+            command = [
+                *(SCHEMATHESIS, "--config-file", CONFIGURATION, "run", f"{address}/openapi.json"),
+                *(
+                    "--checks",
+                    "all",
+                    "--max-examples",
+                    str(given.examples),
+                    "--continue-on-failure",
+                ),
+                *("--generation-deterministic", "--request-timeout", "60", "--warnings", "off"),
+                *("--report", "ndjson", "--report-ndjson-path", report),
+            ]
+            ended = subprocess.run(command, cwd=scratch, check=False)
+            told = statuses(report)
+    finally:
+        alive = process.poll() is None
+        stop_service(process)
     cases = told.total()
     print(f"{cases} answers: {dict(sorted(told.items()))}")
     return 0 if ended.returncode == 0 and alive and cases >= LEAST_CASES and not told[500] else 1
