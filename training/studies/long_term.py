@@ -17,6 +17,8 @@ from training.studies.rows import (
     ours,
     resting,
     shipped,
+    v_lstm,
+    vin,
 )
 from training.studies.study import Study
 from training.studies.subject import Subject
@@ -61,8 +63,11 @@ def _one_ball() -> tuple[Row, ...]:
         *_fixed(),
         npe(angular_velocity=False),
         npe(angular_velocity=True),
+        v_lstm(angular_velocity=False),
+        v_lstm(angular_velocity=True),
         ifs(angular_velocity=False),
         ifs(angular_velocity=True),
+        vin(),
         *(ours(of_one_ball(angular_velocity=False), name, name + PLAIN) for name in OURS),
         *(ours(of_one_ball(angular_velocity=True), name, name) for name in OURS),
         *(shipped(MODELS / name / "1") for name in (*OURS, "fieldnet")),
@@ -70,7 +75,12 @@ def _one_ball() -> tuple[Row, ...]:
 
 
 def _several_balls() -> tuple[Row, ...]:
-    return (*_fixed(), npe(angular_velocity=True), ifs(angular_velocity=True))
+    return (
+        *_fixed(),
+        npe(angular_velocity=True),
+        v_lstm(angular_velocity=True),
+        ifs(angular_velocity=True),
+    )
 
 
 LONG_TERM = Study(

@@ -1,0 +1,117 @@
+"""VIN and V-LSTM: what they look at, and that they learn a handful of sequences."""
+
+from functools import partial
+
+import pytest
+import torch
+
+from training.baselines.learner import Learner
+from training.baselines.vin import Vin
+from training.baselines.vlstm import CONVOLUTIONS, AlexNetEncoder, VLstm
+from training.dataset import Batch
+
+HORIZON = 4
+
+
+def moving_squares(sequences: int, objects: int = 1, steps: int = 8) -> Batch:
+    """Bright squares that move evenly over black, a colour for each."""
+    generator = torch.Generator().manual_seed(0)
+    starts = 24 + 80 * torch.rand(sequences, objects, 1, 2, generator=generator)
+    speeds = 4 * torch.randn(sequences, objects, 1, 2, generator=generator).clamp(-1, 1)
+    times = torch.arange(-3, steps)[:, None]
+    positions = starts + speeds * times
+    frames = torch.zeros(sequences, 4, 128, 128, 3, dtype=torch.uint8)
+    for row in range(sequences):
+        for ball in range(objects):
+            for frame in range(4):
+                x, y = positions[row, ball, frame].round().int().tolist()
+                frames[row, frame, y - 6 : y + 6, x - 6 : x + 6, ball] = 255
+    spins = torch.randn(sequences, objects, steps, 3, generator=generator)
+    return Batch(frames=frames, positions=positions[:, :, 3:], angular_velocities=spins)
+
+
+BUILDS = [
+    partial(Vin, 2, HORIZON),
+    partial(VLstm, 2, HORIZON, angular_velocity=True),
+    partial(VLstm, 2, HORIZON, angular_velocity=False),
+]
+
+
+@pytest.mark.parametrize("build", BUILDS)
+def test_shapes_and_what_is_told(build):
+    learner: Learner[Batch] = build().eval()
+    given = moving_squares(3, objects=2)
+    with torch.inference_mode():
+        told = learner.forecast(given, 7)
+    assert told.positions.shape == (3, 2, 7, 2)
+    assert (told.angular_velocities is None) == (not learner.sees_spin)
+    if told.angular_velocities is not None:
+        assert told.angular_velocities.shape == (3, 2, 7, 3)
+
+
+@pytest.mark.parametrize("build", BUILDS)
+def test_nothing_but_the_frames_is_looked_at(build):
+    learner: Learner[Batch] = build().eval()
+    given = moving_squares(2, objects=2)
+    other = moving_squares(2, objects=2)
+    other["positions"] = other["positions"] + 5
+    with torch.inference_mode():
+        assert torch.equal(
+            learner.forecast(given, 5).positions, learner.forecast(other, 5).positions
+        )
+        changed = given["frames"].clone()
+        changed[:, 0] = 0
+        other["frames"] = changed
+        assert not torch.equal(
+            learner.forecast(given, 5).positions, learner.forecast(other, 5).positions
+        )
+
+
+@pytest.mark.parametrize(
+    ("build", "rate", "batches"),
+    [
+        (partial(Vin, 1, HORIZON), 2e-3, 200),
+        (partial(VLstm, 1, HORIZON, angular_velocity=False), 3e-4, 40),
+    ],
+    ids=["vin", "v-lstm"],
+)
+def test_a_handful_of_sequences_is_learned(build, rate, batches):
+    torch.manual_seed(0)
+    learner: Learner[Batch] = build()
+    given = moving_squares(4)
+    optimiser = torch.optim.Adam(learner.parameters(), rate)
+    truth = given["positions"][:, :, :HORIZON]
+
+    def error() -> float:
+        with torch.inference_mode():
+            return float((learner.forecast(given, HORIZON).positions - truth).norm(dim=-1).mean())
+
+    before = error()
+    for number in range(batches):
+        loss = learner.loss(given, number / batches)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    assert error() < before / 2
+
+
+def test_alexnets_weights_are_taken_from_a_file(tmp_path):
+    generator = torch.Generator().manual_seed(1)
+    whole = AlexNetEncoder().features.state_dict()
+    stored = {
+        f"features.{name}": torch.randn(value.shape, generator=generator)
+        for name, value in whole.items()
+    }
+    stored["features.0.weight"] = torch.zeros(64, 3, 11, 11)
+    torch.save(stored, tmp_path / "alexnet.pth")
+    encoder = AlexNetEncoder()
+    assert encoder.load_imagenet(tmp_path / "alexnet.pth") == len(CONVOLUTIONS) - 1
+    taken = encoder.features.state_dict()
+    for place in CONVOLUTIONS[1:]:
+        assert torch.equal(taken[f"{place}.weight"], stored[f"features.{place}.weight"])
+    # The first sees four frames, so it is made anew.
+    assert taken["0.weight"].shape == (64, 12, 11, 11)
+    del stored["features.8.bias"]
+    torch.save(stored, tmp_path / "alexnet.pth")
+    with pytest.raises(ValueError, match=r"lacks AlexNet's features\.8"):
+        encoder.load_imagenet(tmp_path / "alexnet.pth")
