@@ -172,7 +172,7 @@ def _from_states(
 
 
 def vin(budget: int = BUDGET) -> Row:
-    """VIN: Adam at 5e-4, batches of 4, the rate down to a tenth over the budget."""
+    """VIN: Adam at 5e-4, batches of 4; that the rate decays to a tenth is our choice."""
 
     def course(stream: Callable[[int], Iterator[Batch]]) -> Course[Batch]:
         return Course(
