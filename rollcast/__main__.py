@@ -7,6 +7,8 @@ interrupted.
 import os
 import sys
 from collections.abc import Sequence
+from functools import partial
+from typing import Annotated
 
 import typer
 
@@ -31,16 +33,35 @@ A first try:
 Exit codes: 0 done, 1 it failed (one line on stderr says why), 2 the arguments are wrong.
 `rollcast --install-completion` completes commands and options in your shell.
 """
+API_KEY_VARIABLE = "ROLLCAST_API_KEY"
 USAGE = 2
 """Exit code for arguments that are wrong."""
 INTERRUPTED = 130
 
 app = typer.Typer(
     name=NAME,
-    help=HELP,
     rich_markup_mode=None,  # help that is text can be piped and searched
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
+
+
+@app.callback(help=HELP)
+def _with_key(
+    context: typer.Context,
+    api_key: Annotated[
+        str | None,
+        typer.Option(
+            envvar=API_KEY_VARIABLE,
+            metavar="KEY",
+            help="for a service that asks for an API key; better in the environment than here",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    if api_key is not None:
+        context.obj = partial(context.obj, api_key=api_key)
+
+
 for module in (serve, predict, simulate, models, doctor):
     name = module.__name__.rpartition(".")[2]
     app.command(name, help=module.HELP)(getattr(module, name))

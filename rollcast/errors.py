@@ -11,6 +11,7 @@
     + UnexpectedAnswerError the answer is not one of this API's
     + ProblemError          the service answered with a problem document
       - RefusedError        the request is at fault (400, 404, 413, 415, 422)
+        > DeniedError         the API key is missing, not known or not good for this (401, 403)
       - BusyError           the queue is full (429)
       - ServiceFailedError  the service is at fault or not ready (5xx)
 """
@@ -128,6 +129,10 @@ class ProblemError(ClientError):
 
 class RefusedError(ProblemError):
     """The request is at fault; sending it again unchanged does not help."""
+
+
+class DeniedError(RefusedError):
+    """An API key is missing, not known, has expired or has not the right."""
 
 
 class BusyError(ProblemError):

@@ -4,10 +4,12 @@ import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, suppress
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from fastapi_offline import FastAPIOffline
 
 from rollcast.http import API_VERSION
+from service.access import check_access
+from service.keyring import Keyring
 from service.loading import Loader, load_registry
 from service.logs import install_access_log
 from service.metrics import Metrics
@@ -60,6 +62,7 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
             ),
             metrics=figures,
             load=load,
+            keyring=None if settings.keys_file is None else Keyring(settings.keys_file),
         )
         app.state.service = state
         loading = asyncio.create_task(_load(state))
@@ -78,6 +81,7 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
         description="Forecasts where rolling balls go from four video frames.",
         lifespan=lifespan,
         redoc_url=None,
+        dependencies=[Depends(check_access)],
         # Figures and logs have homes of their own.
         telemetry={
             "auto_configure": settings.traces,

@@ -2,6 +2,8 @@
 
 * ServiceError
   x MalformedBodyError         400  the body cannot be parsed
+  x UnauthorizedError          401  an API key is missing, unknown or has expired
+  x ForbiddenError             403  the key has not the right
   x UnknownModelError          404
   x BodyTooSlowError           408
   x BodyTooLargeError          413
@@ -68,6 +70,18 @@ class MalformedBodyError(ServiceError):
     """The body is not what its content type says."""
 
     status, slug, title = 400, "malformed-body", "The body cannot be read"
+
+
+class UnauthorizedError(ServiceError):
+    """The request has no API key that is good."""
+
+    status, slug, title = 401, "unauthorized", "An API key is needed"
+
+
+class ForbiddenError(ServiceError):
+    """The API key has not the right."""
+
+    status, slug, title = 403, "forbidden", "The API key may not do this"
 
 
 class UnknownModelError(ServiceError):

@@ -26,6 +26,7 @@ from service.errors import (
     QueueFullError,
     ServiceError,
     SimulationLostError,
+    UnauthorizedError,
 )
 from service.logs import REQUEST_ID_HEADER, request_id
 from service.protocol import InferError
@@ -100,6 +101,8 @@ def _answer(request: Request, error: Exception) -> Response:
         case ServiceError():
             request.app.state.service.metrics.refusal(error.slug)
             problem = _refusal(error)
+            if isinstance(error, UnauthorizedError):
+                headers["WWW-Authenticate"] = "Bearer"
             if isinstance(error, PASSING):
                 headers["Retry-After"] = str(request.app.state.service.settings.retry_after_s)
         case MemoryError():

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from loky import cpu_count
-from pydantic import DirectoryPath, Field, model_validator
+from pydantic import DirectoryPath, Field, FilePath, ValidationError, model_validator
 from pydantic_settings import (
     BaseSettings,
     PydanticBaseSettingsSource,
@@ -14,11 +14,14 @@ from pydantic_settings import (
     TomlConfigSettingsSource,
 )
 
+from service.keyring import KeyFile
+
 PREFIX = "ROLLCAST_"
 FILE_VARIABLE = "ROLLCAST_SETTINGS_FILE"
 """Names a TOML file of settings; variables of the environment go before it."""
-OTHER_VARIABLES = frozenset({FILE_VARIABLE, "ROLLCAST_RUNS"})
-"""The file's own, and those that the training reads: they may stand in the same environment."""
+OTHER_VARIABLES = frozenset({FILE_VARIABLE, "ROLLCAST_RUNS", "ROLLCAST_API_KEY"})
+"""The file's own, and those that the training and the command `rollcast` read: they may stand in
+the same environment."""
 
 TRACE_RECEIVERS = {"OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT"}
 """Variables of OpenTelemetry that say where traces go."""
@@ -48,6 +51,9 @@ class Settings(BaseSettings):
 
     models_dir: DirectoryPath = Path(__file__).resolve().parents[1] / "models"
     """Folder of the artefacts, ``NAME/VERSION/``."""
+    keys_file: FilePath | None = None
+    """File of API keys, which `python -m service.keys` makes; it is read again when it changes.
+    Without one nobody is asked for a key."""
     max_body_bytes: Annotated[int, Field(ge=1)] = 64 * MEBI
     """Largest request body; a larger one is refused with 413 while it is being read."""
     receive_timeout_s: Annotated[float, Field(gt=0)] = 60
@@ -109,6 +115,15 @@ class Settings(BaseSettings):
         os.environ.setdefault("OTEL_SERVICE_NAME", "rollcast")
         if self.traces and not TRACE_RECEIVERS & os.environ.keys():
             raise ValueError(f"traces need one of {sorted(TRACE_RECEIVERS)}: where they go")
+        return self
+
+    @model_validator(mode="after")
+    def _know_the_keys(self) -> "Settings":
+        if self.keys_file is not None:
+            try:
+                KeyFile.read(self.keys_file)
+            except (OSError, ValidationError) as error:
+                raise ValueError(f"{self.keys_file} is no file of keys: {error}") from error
         return self
 
     @model_validator(mode="after")

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from fastapi import Depends, Request
 
 from service.errors import NotReadyError
+from service.keyring import Keyring
 from service.loading import Loader
 from service.metrics import Metrics
 from service.registry import Registry
@@ -29,6 +30,8 @@ class State:
         What is counted of all that.
     load
         Loads models from their folder.
+    keyring
+        The API keys; None where nobody is asked for one.
     registry
         The models; empty while loading.
     changing
@@ -42,6 +45,7 @@ class State:
     simulation: Workers
     metrics: Metrics
     load: Loader
+    keyring: Keyring | None = None
     registry: Registry = field(default_factory=lambda: Registry([]))
     changing: asyncio.Lock = field(default_factory=asyncio.Lock)
     phase: Literal["loading", "serving", "draining"] = "loading"

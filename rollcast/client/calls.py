@@ -18,6 +18,7 @@ from rollcast.client.results import Forecast, Simulation
 from rollcast.errors import (
     BusyError,
     ClientError,
+    DeniedError,
     ProblemError,
     RefusedError,
     ServiceFailedError,
@@ -141,6 +142,8 @@ def reaching(request: httpx2.Request) -> Generator[None]:
 
 def problem_error(problem: Problem) -> ProblemError:
     """Return the exception for a problem document."""
+    if problem.status in {401, 403}:
+        return DeniedError(problem)
     if problem.status == 429:
         return BusyError(problem)
     return ServiceFailedError(problem) if problem.status >= 500 else RefusedError(problem)

@@ -38,6 +38,8 @@ class Client:
         How often a call is sent again, after a growing wait and not before the service asks for it
         (Retry-After): when the connection was lost, when the service is full or not ready, and when
         what stands before it could not pass it on. Calls change nothing, so asking twice is safe.
+    api_key
+        Sent with every call, for services that ask for one.
     transport
         Sends the requests; by default over the network. ``rollcast.client.testing`` has one for
         tests.
@@ -49,9 +51,13 @@ class Client:
         *,
         timeout_s: float = 60.0,
         retries: int = 2,
+        api_key: str | None = None,
         transport: httpx2.BaseTransport | None = None,
     ) -> None:
-        self._http = httpx2.Client(base_url=base_url, timeout=timeout_s, transport=transport)
+        headers = {} if api_key is None else {"Authorization": f"Bearer {api_key}"}
+        self._http = httpx2.Client(
+            base_url=base_url, timeout=timeout_s, headers=headers, transport=transport
+        )
         self._retries = retries
 
     def predict(

@@ -10,19 +10,19 @@ from service.state import ServiceState
 router = APIRouter(prefix="/models", tags=["models"])
 
 
-@router.get("")
+@router.get("", responses=problems_of(401, 403))
 async def list_models(service: ServiceState) -> ModelList:
     """List every version of every model."""
     return ModelList(models=[_entry(model) for model in service.registry.models])
 
 
-@router.get("/{name}", responses=problems_of(404))
+@router.get("/{name}", responses=problems_of(401, 403, 404))
 async def model_by_name(name: str, service: ServiceState) -> ModelDetail:
     """Return the default version of a model, with its card."""
     return _detail(service.registry.get(name), service.registry)
 
 
-@router.get("/{name}/versions/{version}", responses=problems_of(404, 422))
+@router.get("/{name}/versions/{version}", responses=problems_of(401, 403, 404, 422))
 async def model_by_version(name: str, version: int, service: ServiceState) -> ModelDetail:
     """Return one version of a model, with its card."""
     return _detail(service.registry.get(name, version), service.registry)

@@ -25,7 +25,7 @@ from service.waiting import (
 
 router = APIRouter(tags=["forecast"])
 
-PROBLEMS = problems_of(400, 404, 408, 413, 415, 422, 429, 503, 504)
+PROBLEMS = problems_of(400, 401, 403, 404, 408, 413, 415, 422, 429, 503, 504)
 EVENTS = "text/event-stream"
 
 

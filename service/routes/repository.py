@@ -11,7 +11,7 @@ from service.state import ServiceState
 router = APIRouter(prefix=f"{PROTOCOL_PATH}/repository", tags=["open inference protocol"])
 
 
-@router.post("/index")
+@router.post("/index", responses=errors_of(401, 403))
 async def index(service: ServiceState) -> list[IndexEntry]:
     """List every version of every model."""
     return [
@@ -25,7 +25,9 @@ async def index(service: ServiceState) -> list[IndexEntry]:
     ]
 
 
-@router.post("/models/{name}/load", response_class=Response, responses=errors_of(400, 404, 503))
+@router.post(
+    "/models/{name}/load", response_class=Response, responses=errors_of(400, 401, 403, 404, 503)
+)
 async def load(name: str, service: ServiceState) -> Response:
     """Load every version of a model again from its folder; 400 when one of them is refused."""
     service.require_serving()
@@ -33,7 +35,9 @@ async def load(name: str, service: ServiceState) -> Response:
     return Response(status_code=status.HTTP_200_OK)
 
 
-@router.post("/models/{name}/unload", response_class=Response, responses=errors_of(404, 503))
+@router.post(
+    "/models/{name}/unload", response_class=Response, responses=errors_of(401, 403, 404, 503)
+)
 async def unload(name: str, service: ServiceState) -> Response:
     """Stop serving a model; forecasts that have begun are answered."""
     service.require_serving()

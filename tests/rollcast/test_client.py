@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from rollcast.client import Client
 from rollcast.client.images import decoded, encoded
 from rollcast.errors import (
     BusyError,
     ClientError,
+    DeniedError,
     RefusedError,
     ServiceFailedError,
     UnexpectedAnswerError,
@@ -148,7 +150,14 @@ def test_what_is_no_frame_is_refused_here(frame, error, message):
 
 @pytest.mark.parametrize(
     ("status", "kind"),
-    [(400, RefusedError), (404, RefusedError), (422, RefusedError), (503, ServiceFailedError)],
+    [
+        (400, RefusedError),
+        (401, DeniedError),
+        (403, DeniedError),
+        (404, RefusedError),
+        (422, RefusedError),
+        (503, ServiceFailedError),
+    ],
 )
 def test_a_problem_document_is_raised(client, status, kind):
     service = Service(PROBLEM | {"status": status}, status)
@@ -157,6 +166,19 @@ def test_a_problem_document_is_raised(client, status, kind):
     assert caught.value.problem.field == "horizon"
     assert str(caught.value) == f"A value is not acceptable ({status}): horizon: expected more"
     assert isinstance(caught.value, ClientError)
+
+
+def test_a_key_goes_with_every_call():
+    seen = []
+
+    def answer(request):
+        seen.append(request.headers.get("authorization"))
+        return httpx2.Response(200, json={"models": []})
+
+    for key in (None, "rollcast_secret"):
+        with Client(transport=httpx2.MockTransport(answer), api_key=key) as client:
+            client.models()
+    assert seen == [None, "Bearer rollcast_secret"]
 
 
 def test_a_full_queue_says_when_to_come_back(client):

@@ -38,6 +38,19 @@ def run(capsys):
     return run
 
 
+def test_a_key_may_be_given_or_stand_in_the_environment(capsys, monkeypatch):
+    seen = []
+
+    def connect(url, api_key=None):
+        seen.append(api_key)
+        return Client(url, transport=FakeService())
+
+    assert main(["--api-key", "given", "models"], connect) == 0
+    monkeypatch.setenv("ROLLCAST_API_KEY", "standing")
+    assert main(["models"], connect) == 0
+    assert seen == ["given", "standing"]
+
+
 def test_a_scene_is_told(run):
     code, printed, errors = run("simulate", "ellipsoid", "--seed", 7, "--objects", 2)
     assert (code, errors) == (0, "")
@@ -261,6 +274,8 @@ Usage: rollcast [OPTIONS] COMMAND [ARGS]...
   `rollcast --install-completion` completes commands and options in your shell.
 
 Options:
+  --api-key KEY         for a service that asks for an API key; better in the environment than
+                        here  [env var: ROLLCAST_API_KEY]
   --install-completion  Install completion for the current shell.
   --show-completion     Show completion for the current shell, to copy it or customize the
                         installation.

@@ -76,6 +76,7 @@ class AsyncClient(
         *,
         timeout_s: float = 60.0,
         retries: int = 2,
+        api_key: str | None = None,
         transport: httpx2.AsyncBaseTransport | None = None,
     ) -> None
     async def close(
@@ -149,6 +150,7 @@ class Client(
         *,
         timeout_s: float = 60.0,
         retries: int = 2,
+        api_key: str | None = None,
         transport: httpx2.BaseTransport | None = None,
     ) -> None
     def close(
@@ -330,6 +332,7 @@ Exception
       ProblemError
         BusyError
         RefusedError
+          DeniedError
         ServiceFailedError
       UnexpectedAnswerError
       UnreachableError

@@ -1,5 +1,6 @@
 /** The service's HTTP API, as the page needs it. */
 
+import { askForKey, withKey } from "./key.js";
 import { eventsOf } from "./sse.js";
 
 /** What the service refused, with its problem document (RFC 9457). */
@@ -35,7 +36,7 @@ export async function health() {
 }
 
 export async function models() {
-  return (await (await answered(fetch(address("models")))).json()).models;
+  return (await (await answered(asked("models"))).json()).models;
 }
 
 /**
@@ -43,7 +44,7 @@ export async function models() {
  * @param {AbortSignal} signal
  */
 export async function simulate(body, signal) {
-  const response = await answered(fetch(address("simulate"), { ...asJson(body), signal }));
+  const response = await answered(asked("simulate", { ...asJson(body), signal }));
   return response.json().catch(lostUnlessAborted);
 }
 
@@ -55,7 +56,7 @@ export async function simulate(body, signal) {
  */
 export async function* predictStream(body, signal) {
   const sent = body instanceof FormData ? { method: "POST", body } : asJson(body);
-  const response = await answered(fetch(address("predict/stream"), { ...sent, signal }));
+  const response = await answered(asked("predict/stream", { ...sent, signal }));
   let finished = false;
   try {
     for await (const { event, data } of eventsOf(response.body)) {
@@ -73,6 +74,16 @@ export async function* predictStream(body, signal) {
 function asJson(body) {
   const headers = { "Content-Type": "application/json" };
   return { method: "POST", headers, body: JSON.stringify(body) };
+}
+
+/** Send a request, with an API key once the service has asked for one. */
+async function asked(path, init = {}) {
+  for (;;) {
+    const response = await fetch(address(path), withKey(init));
+    if (response.status !== 401) return response;
+    const problem = await response.clone().json().catch(() => null);
+    if (!(await askForKey(problem?.detail ?? "The service asks for an API key."))) return response;
+  }
 }
 
 /** @param {Promise<Response>} request */
