@@ -52,12 +52,15 @@ def look(frames: UInt8[np.ndarray, "K 128 128 3"]) -> Look:
     column = Image.fromarray(seen.reshape(-1, *seen.shape[2:])).reduce(SHRINK)
     small = np.asarray(column).reshape(-1, side, side, 3).astype(np.float32) / 255
     cells = side // THUMBNAIL
-    mean = small.mean(axis=0).reshape(THUMBNAIL, cells, THUMBNAIL, cells, 3).mean(axis=(1, 3))
+    # Axis after axis, here and below: NumPy takes several times as long for two at once.
+    tiles = small.mean(axis=0).reshape(THUMBNAIL, cells, THUMBNAIL, cells, 3)
+    mean = tiles.mean(axis=1).mean(axis=2)
     # Every second pixel and its neighbour to the right tell as much as all.
     left, right = seen[-1, ::2, ::2].astype(np.int16), seen[-1, ::2, 1::2]
-    fineness = np.abs(left - right).mean(axis=(0, 1)) / 255
+    fineness = np.abs(left - right).mean(axis=0).mean(axis=0) / 255
     changes = np.abs(np.diff(small, axis=0)).mean(axis=(1, 2, 3))
-    moved = np.abs(small[-1] - small[0]).max(axis=-1)
+    red, green, blue = np.moveaxis(np.abs(small[-1] - small[0]), -1, 0)
+    moved = np.maximum(np.maximum(red, green), blue)
     share = float(np.count_nonzero(moved * 255 >= MOVED_LEVELS)) / moved.size
     texture = np.log(np.concatenate([fineness, changes, [share]]) + FLOOR)
     return Look(mean.ravel(), texture.astype(np.float32), float(moved.max()) * 255)

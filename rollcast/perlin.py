@@ -22,8 +22,8 @@ def _lattice_gradients() -> np.ndarray:
     permutation = np.random.default_rng(2002).permutation(_PERIOD)
     rows, columns = np.meshgrid(np.arange(_PERIOD), np.arange(_PERIOD), indexing="ij")
     hashed = permutation[(permutation[rows] + columns) % _PERIOD] % _DIRECTIONS
-    angles = 2 * np.pi * (hashed + 0.5) / _DIRECTIONS
-    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    angles = 2 * np.pi * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)[hashed]
 
 
 _GRADIENTS = _lattice_gradients()

@@ -10,7 +10,6 @@ def main() -> int:
     # Imported here because the process that simulates imports this module again.
     from pydantic import ValidationError
 
-    from service.server import serve
     from service.settings import Settings, described
 
     arguments = _parser(described()).parse_args()
@@ -31,7 +30,13 @@ def main() -> int:
     with listener:
         port = listener.getsockname()[1]
         print(f"Rollcast listens on http://{host}:{port} (documentation: /docs)", flush=True)
-        serve(settings, listener)
+        from service.loading import begin_loading
+
+        load = begin_loading(settings.models_dir)
+        # The web framework takes as long as the models: they load meanwhile, on another core.
+        from service.server import serve
+
+        serve(settings, listener, load)
     return 0
 
 

@@ -91,11 +91,11 @@ def _open(data: bytes, field: str) -> ImageFile.ImageFile:
 def _load(image: ImageFile.ImageFile, field: str) -> UInt8[np.ndarray, "128 128 3"]:
     try:
         image.load()
-        upright = ImageOps.exif_transpose(image)
+        ImageOps.exif_transpose(image, in_place=True)
     except DECODER_ERRORS as error:
         value = f"{image.format} of {image.width} x {image.height}"
         raise BrokenImageError.at(field, value, "a whole image, this one is cut off") from error
-    return _to_network_size(_to_rgb(upright))
+    return _to_network_size(_to_rgb(image))
 
 
 def _to_rgb(image: Image.Image) -> Image.Image:
@@ -106,7 +106,7 @@ def _to_rgb(image: Image.Image) -> Image.Image:
     if image.has_transparency_data:
         layer = image.convert("RGBA")
         return Image.alpha_composite(Image.new("RGBA", layer.size, "white"), layer).convert("RGB")
-    return image.convert("RGB")
+    return image if image.mode == "RGB" else image.convert("RGB")
 
 
 def _to_network_size(image: Image.Image) -> UInt8[np.ndarray, "128 128 3"]:
@@ -120,7 +120,7 @@ def _to_network_size(image: Image.Image) -> UInt8[np.ndarray, "128 128 3"]:
         size = (NETWORK_FRAME_SIZE, NETWORK_FRAME_SIZE)
         return np.asarray(image.resize(size, Image.Resampling.BILINEAR))
     if rest == 0:
-        return np.asarray(image.reduce(factor))
+        return np.asarray(image if factor == 1 else image.reduce(factor))
     rows = _average_areas(np.asarray(image))
     return _average_areas(rows.swapaxes(0, 1)).swapaxes(0, 1).round().astype(np.uint8)
 

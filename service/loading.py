@@ -3,9 +3,10 @@
 import hashlib
 import logging
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import Protocol
 
 import numpy as np
@@ -62,6 +63,27 @@ def load_registry(
     # One name is loaded again while others answer: it takes a single core from them.
     with ThreadPoolExecutor(cpu_count() if name is None else 1) as pool:
         return Registry(list(pool.map(partial(_load, open_predictor=open_predictor), wanted)))
+
+
+def begin_loading(models_dir: Path) -> Loader:
+    """Begin to load the models of a folder in a thread; return a loader that hands them over.
+
+    Its later calls load anew.
+    """
+    begun: list[Future[Registry]] = [Future()]
+
+    def fulfil(future: Future[Registry]) -> None:
+        try:
+            future.set_result(load_registry(models_dir))
+        except BaseException as error:  # is raised where the models are asked for
+            future.set_exception(error)
+
+    def load(models_dir: Path, name: str | None = None) -> Registry:
+        return begun.pop().result() if begun else load_registry(models_dir, name)
+
+    # A process that is stopped meanwhile need not wait for it.
+    Thread(target=fulfil, args=begun, name="loading", daemon=True).start()
+    return load
 
 
 def _size_of_encoder(folder: Path) -> int:

@@ -1,9 +1,8 @@
 """ONNX Runtime: the only module that imports it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from threading import Lock
+from threading import Lock, Thread
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -32,12 +31,29 @@ CORES_OF_AN_EYE = min(2, cpu_count())
 """Cores that may see the frames of one request: more were not measured (decision 0113)."""
 
 
-@dataclass(frozen=True, eq=False)
 class _Eye:
-    """An eye's graph, opened for one core and for as many as it may have: the same bits."""
+    """An eye's graph for one core, and for as many as it may have: the same bits.
 
-    unhelped: onnxruntime.InferenceSession
-    helped: onnxruntime.InferenceSession
+    Parameters
+    ----------
+    path
+        File of the graph.
+    """
+
+    def __init__(self, path: Path) -> None:
+        # Not the file: it may be another one when it is opened again.
+        self._graph = path.read_bytes()
+        self._unhelped = self._helped = _session(self._graph)
+        self._again = Lock()
+
+    def session(self, helped: bool) -> onnxruntime.InferenceSession:
+        """Return that for as many cores as asked, as soon as it is open."""
+        if helped and self._graph and CORES_OF_AN_EYE > 1 and self._again.acquire(blocking=False):
+            Thread(target=self._open_helped, name="opens an eye", daemon=True).start()
+        return self._helped if helped else self._unhelped
+
+    def _open_helped(self) -> None:
+        self._helped, self._graph = _session(self._graph, CORES_OF_AN_EYE), b""
 
 
 _eyes: WeakValueDictionary[str, _Eye] = WeakValueDictionary()
@@ -78,8 +94,7 @@ class OnnxPredictor:
         if self._eye is None:
             seen = {FRAMES_INPUT: frames}
         else:
-            eye = self._eye.helped if helped else self._eye.unhelped
-            seen = look(eye.run, self._read, frames)
+            seen = look(self._eye.session(helped).run, self._read, frames)
         return self._as_step(self._encoder.run(self._encoded, seen), self._first)
 
     def advance(self, state: Arrays) -> Step:
@@ -99,23 +114,23 @@ def _shared_eye(path: Path, digest: str) -> _Eye:
     with _opening:
         eye = _eyes.get(digest)
         if eye is None:
-            unhelped = _session(path)
-            helped = unhelped if CORES_OF_AN_EYE == 1 else _session(path, CORES_OF_AN_EYE)
-            eye = _eyes[digest] = _Eye(unhelped, helped)
+            eye = _eyes[digest] = _Eye(path)
         return eye
 
 
 def _session(
-    path: Path, threads: int = 1, *, optimised: bool = True
+    graph: Path | bytes, threads: int = 1, *, optimised: bool = True
 ) -> onnxruntime.InferenceSession:
     """Open a graph on threads that never spin: the cores belong to other requests."""
     options = onnxruntime.SessionOptions()
     if not optimised:
         options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+        # Thousands of sums with a few numbers each: planning where they lie takes half the load.
+        options.enable_mem_reuse = False
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.log_severity_level = 3  # errors: its warnings speak to those who export
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     # An arena for every session would keep the most that its largest batch ever needed.
     options.enable_cpu_mem_arena = False
-    return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])

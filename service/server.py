@@ -9,6 +9,7 @@ from fastapi import FastAPI
 
 from service.app import create_app
 from service.connections import Connection
+from service.loading import Loader
 from service.logs import configuration
 from service.settings import Settings
 from service.state import State
@@ -52,9 +53,9 @@ class Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def serve(settings: Settings, listener: socket.socket) -> None:
-    """Serve on a listening socket until told to stop."""
+def serve(settings: Settings, listener: socket.socket, load: Loader) -> None:
+    """Serve the models of a loader on a listening socket until told to stop."""
     # Inherited by every connection; asyncio leaves it out for a listener that it has not made,
     # and answers then wait 40 ms for an acknowledgement.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    Server(create_app(settings), settings).run(sockets=[listener])
+    Server(create_app(settings, load), settings).run(sockets=[listener])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rollcast.manifest import CARD_FILE, ENCODER_FILE, GOLDEN_FILE, HASHED_FILES, MANIFEST_FILE
-from service.loading import load_registry
+from service.loading import begin_loading, load_registry
 from service.rollout import roll_out
 from tests.service.samples import DotPredictor, dot, manifest
 
@@ -128,3 +128,12 @@ def test_whatever_the_runtime_raises_is_a_reason(write, tmp_path):
     (model,) = load_registry(tmp_path, open_predictor=fail).models
     assert model.reason == "cannot be loaded: no such operator"
     assert model.manifest is not None
+
+
+def test_what_is_being_loaded_already_is_handed_over_once(tmp_path):
+    folder = tmp_path / "dot" / "1"
+    folder.mkdir(parents=True)
+    load = begin_loading(tmp_path)
+    assert [model.name for model in load(tmp_path).models] == ["dot"]
+    folder.rmdir()
+    assert not load(tmp_path).models

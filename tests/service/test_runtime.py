@@ -1,4 +1,5 @@
 import gc
+import threading
 from pathlib import Path
 from weakref import WeakValueDictionary
 
@@ -25,10 +26,10 @@ def opened(monkeypatch):
     names: list[str] = []
     open_session = runtime._session
 
-    def note(path, threads=1, **options):
+    def note(graph, threads=1, **options):
         if threads == 1:
-            names.append(path.name)
-        return open_session(path, threads, **options)
+            names.append(EYE_FILE if isinstance(graph, bytes) else graph.name)
+        return open_session(graph, threads, **options)
 
     monkeypatch.setattr(runtime, "_session", note)
     monkeypatch.setattr(runtime, "_eyes", WeakValueDictionary())
@@ -56,6 +57,12 @@ def test_a_second_core_changes_no_bit(name):
     model = predictor(name)
     with np.load(MODELS / name / "1" / GOLDEN_FILE) as golden:
         frames = golden["frames"]
+    model.encode(frames[:1], helped=True)
+    for thread in threading.enumerate():
+        if thread.name == "opens an eye":
+            thread.join()
+    if runtime.CORES_OF_AN_EYE > 1:
+        assert model._eye._helped is not model._eye._unhelped
     for rows in (frames[:1], frames):
         alone, helped = model.encode(rows), model.encode(rows, helped=True)
         for mine, other in ((alone.state, helped.state), (alone.outputs, helped.outputs)):
