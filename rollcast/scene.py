@@ -47,8 +47,9 @@ class Scene(BaseModel):
     """Radius of every ball."""
     rotation_rad: Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]
     """Rotation of the surface about the world's z axis."""
-    axis_ratio: Annotated[float, Field(ge=0.5, le=1.0)] | None = None
-    """Bowls: semi-axis along the bowl's own x; the other two are 1."""
+    axis_ratio: Annotated[float, Field(ge=0.4, le=1.0)] | None = None
+    """Bowls: semi-axis along the bowl's own x; the other two are 1. Drawn from 0.5 on: the largest
+    ball that can touch the bottom of a bowl has the radius of the ratio's square."""
     noise_scale: Annotated[float, Field(ge=0.2, le=0.7)] | None = None
     """Heightfields: side of a cell of the Perlin lattice, metres."""
     noise_offset_m: tuple[Metres, Metres] | None = None

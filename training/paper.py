@@ -18,9 +18,17 @@ class Published:
     perplexity: float | None = None
 
 
-def published(scenario: Scenario, objects: int, method: str, at: str) -> Published | None:
-    """Return what the paper prints for a method at a moment, "T=20" for example."""
-    return CELLS.get((scenario, objects, method, at))
+def published(
+    scenario: Scenario, objects: int, method: str, at: str, condition: str = ""
+) -> Published | None:
+    """Return what the paper prints for a method at a moment, "T=20" for example.
+
+    Parameters
+    ----------
+    condition
+        What is special about the scenes; "" for all that a scenario has.
+    """
+    return CELLS.get((scenario, objects, method, at, condition))
 
 
 def angular_speed_rad_s(scenario: Scenario) -> float:
@@ -29,10 +37,16 @@ def angular_speed_rad_s(scenario: Scenario) -> float:
 
 
 _PAPER: dict[str, Any] = json.loads(Path(__file__).with_suffix(".json").read_text("utf-8"))
-CELLS: Mapping[tuple[Scenario, int, str, str], Published] = {
-    (cell["scenario"], cell["objects"], cell["method"], cell["at"]): Published(
+CELLS: Mapping[tuple[Scenario, int, str, str, str], Published] = {
+    (
+        cell["scenario"],
+        cell["objects"],
+        cell["method"],
+        cell["at"],
+        cell.get("condition", ""),
+    ): Published(
         cell["position_error_px"], cell.get("angular_velocity_rmse"), cell.get("perplexity")
     )
     for cell in _PAPER["cells"]
 }
-"""Every cell by scenario, number of balls, method and moment."""
+"""Every cell by scenario, number of balls, method, moment and condition."""

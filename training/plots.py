@@ -100,6 +100,36 @@ def draw_bars(results: Results, given_states: Collection[str], path: Path) -> No
         figure.savefig(path, metadata={"Software": None})
 
 
+def draw_conditions(results: Results, path: Path) -> None:
+    """Draw how errors at both horizons depend on what is special about the scenes, by scenario."""
+    groups = sorted({(cell.objects, SCENARIOS.index(cell.scenario)) for cell in results.cells})
+    methods = list(dict.fromkeys(cell.method for cell in results.cells))
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(9, 3.4 * len(groups)), layout="constrained")
+        panels = figure.subplots(len(groups), 2, squeeze=False)
+        for row, (objects, index) in zip(panels, groups, strict=True):
+            scenario = SCENARIOS[index]
+            cells = [c for c in results.cells if (c.objects, c.scenario) == (objects, scenario)]
+            conditions = list(dict.fromkeys(cell.condition for cell in cells))
+            for axes, at in zip(row, dict.fromkeys(cell.at for cell in cells), strict=True):
+                for place, method in enumerate(methods):
+                    own = [cell for cell in cells if (cell.method, cell.at) == (method, at)]
+                    colour = "#666666" if method in _BASELINE_STYLES else _look(place)[1]
+                    axes.errorbar(
+                        [conditions.index(cell.condition) for cell in own],
+                        [cell.position_error_px for cell in own],
+                        [cell.standard_error_px for cell in own],
+                        fmt=_BASELINE_STYLES.get(method, "-") + "o", color=colour, label=method,
+                    )  # fmt: skip
+                names = [name or "usual scenes" for name in conditions]
+                axes.set_xticks(range(len(names)), names, rotation=20, ha="right")
+                axes.set(yscale="log", title=f"{title(scenario, objects)}, {at}")
+                axes.yaxis.set_major_formatter(LogFormatter())
+            row[0].set(ylabel="position error, px")
+        panels[0, 0].legend(frameon=False, ncols=2)
+        figure.savefig(path, metadata={"Software": None})
+
+
 def draw_training(folder: Path, path: Path) -> None:
     """Draw the curves of a run: its training loss, smoothed, and its validation errors.
 

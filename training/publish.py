@@ -47,6 +47,9 @@ def publish_study(study: Study, docs: Path) -> None:
     results = Results.read(folder / RESULTS).of(study.name)
     (folder / f"{study.name}.md").write_text(tables.page(study, results), encoding="utf-8")
     given = {row.method for row in study.rows() if row.given_states}
+    if results.cells and study.by_scenes:
+        plots.draw_conditions(results, folder / tables.bars_name(study))
+        return
     if results.cells:
         plots.draw_bars(results, given, folder / tables.bars_name(study))
     for subject in study.subjects:

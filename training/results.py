@@ -50,6 +50,8 @@ class Cell:
         The paper's cell for the same variant.
     study
         Which table it belongs to: MODELS, or a study's name.
+    condition
+        What is special about its scenes; "" for all that a scenario has.
     """
 
     scenario: Scenario
@@ -67,6 +69,7 @@ class Cell:
     coverage_95: float | None = None
     paper_px: float | None = None
     study: str = MODELS
+    condition: str = ""
 
 
 @dataclass(frozen=True)
@@ -79,8 +82,8 @@ class Curve:
         Lower quartile, median and upper quartile at every step.
     coverage
         Share of truths inside the ellipse of each of LEVELS, over all steps up to T_train.
-    study
-        Which table it belongs to.
+    study, condition
+        Which table it belongs to, and which of the table's subjects.
     """
 
     scenario: Scenario
@@ -90,6 +93,7 @@ class Curve:
     quartiles_px: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
     coverage: tuple[float, ...] | None = None
     study: str = MODELS
+    condition: str = ""
 
 
 @dataclass(frozen=True)
@@ -148,8 +152,8 @@ class Results:
         )
 
 
-def _row(figure: Cell | Curve) -> tuple[str, str, int, str]:
-    return figure.study, figure.scenario, figure.objects, figure.method
+def _row(figure: Cell | Curve) -> tuple[str, str, int, str, str]:
+    return figure.study, figure.scenario, figure.objects, figure.condition, figure.method
 
 
 def committed(models: Path) -> list[Path]:

@@ -19,7 +19,8 @@ from fsspec.core import url_to_fs
 from tqdm import tqdm
 
 from rollcast.scene import Scenario, Scene
-from rollcast.simulation import Simulator
+from rollcast.simulation import SceneRejectedError, Simulator
+from rollcast.simulation import Sequence as Simulated
 from rollcast.simulation.physics import STEPS_PER_FRAME, Material
 from rollcast.surfaces import NOISE_AMPLITUDE_M
 from rollcast.trajectory import Trajectory
@@ -38,6 +39,26 @@ SHARDS_PER_WORKER = 4
 
 
 @dataclass(frozen=True)
+class Change:
+    """What sets scenes apart from those that networks are trained on.
+
+    Attributes
+    ----------
+    name
+        For folders and tables.
+    parameters
+        Fields of :class:`rollcast.scene.Scene` that are fixed, with their values.
+    speed
+        Start velocities relative to those that are drawn. Scenes that are rejected with it are left
+        out.
+    """
+
+    name: str
+    parameters: tuple[tuple[str, object], ...] = ()
+    speed: float = 1.0
+
+
+@dataclass(frozen=True)
 class Source:
     """One kind of scene of a data set.
 
@@ -45,17 +66,41 @@ class Source:
     ----------
     radius_m
         Ball radius; None leaves it to the scene's own distribution.
+    change
+        What else is unusual about its scenes.
     """
 
     scenario: Scenario
     objects: int = 1
     radius_m: float | None = None
+    change: Change | None = None
 
     @property
     def name(self) -> str:
         """Folder name of the source."""
         radius = "" if self.radius_m is None else f"-r{self.radius_m}"
-        return f"{self.scenario}-{self.objects}{radius}"
+        change = "" if self.change is None else f"-{self.change.name.replace(' ', '-')}"
+        return f"{self.scenario}-{self.objects}{radius}{change}"
+
+    @property
+    def parameters(self) -> dict[str, object]:
+        """Fields of its scenes that are fixed."""
+        radius: dict[str, object] = {} if self.radius_m is None else {"radius_m": self.radius_m}
+        return radius | dict(() if self.change is None else self.change.parameters)
+
+    def sequence(self, simulator: Simulator, seed: int) -> Simulated | None:
+        """Simulate one of its scenes; None when a rule rejects it at its speed."""
+        scenario, objects, parameters = self.scenario, self.objects, self.parameters
+        if self.change is None or self.change.speed == 1:
+            return simulator.sequence(scenario, objects, seed, STORED_FRAMES, 0, parameters)
+        usual = simulator.sequence(scenario, objects, seed, 1, 0, parameters).scene
+        parameters |= usual.model_dump(include={"positions_m", "orientations_xyzw"})
+        velocities = self.change.speed * np.array(usual.velocities_m_s)
+        parameters["velocities_m_s"] = velocities.tolist()
+        try:
+            return simulator.sequence(scenario, objects, seed, STORED_FRAMES, 0, parameters)
+        except SceneRejectedError:
+            return None
 
 
 @dataclass(frozen=True)
@@ -87,14 +132,9 @@ class Shard:
 
     def make(self) -> None:
         """Simulate and store it: the same bytes wherever and whenever that is done."""
-        radius_m = self.source.radius_m
-        parameters = {} if radius_m is None else {"radius_m": radius_m}
-        scenario, objects = self.source.scenario, self.source.objects
         simulator = Simulator()
-        made = [
-            simulator.sequence(scenario, objects, seed, STORED_FRAMES, 0, parameters)
-            for seed in self.seeds
-        ]
+        tried = [self.source.sequence(simulator, seed) for seed in self.seeds]
+        made = [sequence for sequence in tried if sequence is not None]
         simulator.close()
         data = io.BytesIO()
         orientations = [sequence.trajectory.orientations_xyzw for sequence in made]

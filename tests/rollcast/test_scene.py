@@ -48,7 +48,7 @@ def test_a_scene_cannot_be_changed():
         (BOWL | {"radius_m": math.nan}, "radius_m"),
         (BOWL | {"rotation_rad": math.inf}, "rotation_rad"),
         (BOWL | {"positions_m": ((0.0, math.nan, 0.0),)}, "positions_m"),
-        (BOWL | {"axis_ratio": 0.4}, "axis_ratio"),
+        (BOWL | {"axis_ratio": 0.3}, "axis_ratio"),
         (BOWL | {"axis_ratio": None}, "needs axis_ratio"),
         (BOWL | {"noise_scale": 0.5}, "has no noise_scale"),
         (BOWL | {"light_position_m": (1.0, 1.0, 2.0)}, "has no light_position_m"),

@@ -2,7 +2,21 @@
 
 from collections.abc import Mapping
 
+from training.studies.ablations import COLLISIONS, INTERPOLATION, MODULE, SUPERVISION, TEXTURE
+from training.studies.conditions import DIFFICULTY, UNUSUAL
 from training.studies.long_term import LONG_TERM, SEVERAL_BALLS
 from training.studies.study import Study
 
-STUDIES: Mapping[str, Study] = {study.name: study for study in (LONG_TERM, SEVERAL_BALLS)}
+_ALL = (
+    LONG_TERM,
+    TEXTURE,
+    SEVERAL_BALLS,
+    MODULE,
+    COLLISIONS,
+    INTERPOLATION,
+    SUPERVISION,
+    DIFFICULTY,
+    UNUSUAL,
+)
+STUDIES: Mapping[str, Study] = {study.name: study for study in _ALL}
+"""By name."""

@@ -1,19 +1,20 @@
 """What the paper concludes from its tables, claim by claim, and whether it holds here."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 from training.results import Cell
 
 Outcome: TypeAlias = Literal["holds", "does not hold", "open"]
-Errors: TypeAlias = Mapping[tuple[str, int, str, str], float]
-"""Position errors in pixels by scenario, number of balls, method and moment."""
+Errors: TypeAlias = Mapping[tuple[str, int, str, str, str], float]
+"""Position errors in pixels by scenario, number of balls, method, moment and condition."""
 
 BOWLS = ("hemisphere", "ellipsoid")
 SCENARIOS = (*BOWLS, "heightfield")
 OURS = ("posnet", "dispnet", "probnet")
 WITHOUT = " without angular velocity"
+NO_MODULE = " without interaction module"
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class Comparison:
     better: str
     worse: str
     at: str
+    condition: str = ""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,9 @@ class Verdict:
 
 def verdicts(claims: Sequence[Claim], cells: Sequence[Cell]) -> list[Verdict]:
     """Judge claims by measured cells."""
-    errors = {(c.scenario, c.objects, c.method, c.at): c.position_error_px for c in cells}
+    errors = {
+        (c.scenario, c.objects, c.method, c.at, c.condition): c.position_error_px for c in cells
+    }
     return [_verdict(claim, errors) for claim in claims]
 
 
@@ -62,8 +66,8 @@ def _verdict(claim: Claim, errors: Errors) -> Verdict:
     held, broken, missing = 0, 0, 0
     figures: list[str] = []
     for one in claim.comparisons:
-        better = errors.get((one.scenario, one.objects, one.better, one.at))
-        worse = errors.get((one.scenario, one.objects, one.worse, one.at))
+        better = errors.get((one.scenario, one.objects, one.better, one.at, one.condition))
+        worse = errors.get((one.scenario, one.objects, one.worse, one.at, one.condition))
         if better is None or worse is None:
             missing += 1
             continue
@@ -160,5 +164,29 @@ CLAIMS = (
         "several-balls",
         "PosNet beats V-LSTM at T_train and T_gen",
         (*_of_several("posnet", "v-lstm", "T=15"), *_of_several("posnet", "v-lstm", "T=30")),
+    ),
+    Claim(
+        "interaction",
+        "The module for several balls helps DispNet at T_gen",
+        _of_several("dispnet", f"dispnet{NO_MODULE}", "T=30"),
+    ),
+    Claim(
+        "collisions",
+        "The module helps DispNet after a collision, with two balls and with three",
+        tuple(
+            replace(one, condition="before the first collision")
+            for steps in (5, 10)
+            for one in _of_several("dispnet", f"dispnet{NO_MODULE}", f"{steps} after the collision")
+        ),
+    ),
+    Claim(
+        "interpolation",
+        "A final frame helps: InterpNet beats DispNet trained to T at T = 20 and later, most where "
+        "DispNet is worst",
+        tuple(
+            one
+            for at in ("T=20", "T=30", "T=40")
+            for one in _each("interpnet", "dispnet trained to T", at)
+        ),
     ),
 )

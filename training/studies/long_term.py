@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from training.models.task import Task
-from training.recipes.compact import ONE_BALL_DATA, one_ball
+from training.recipes.compact import ONE_BALL_DATA, one_ball, several_balls
 from training.recipes.recipe import Recipe
 from training.studies.rows import (
     BUDGET,
@@ -80,6 +80,16 @@ def _several_balls() -> tuple[Row, ...]:
         npe(angular_velocity=True),
         v_lstm(angular_velocity=True),
         ifs(angular_velocity=True),
+        *(
+            ours(several_balls(objects), f"{name}-{objects}", name)
+            for objects in (2, 3)
+            for name in OURS
+        ),
+        *(
+            shipped(MODELS / f"{name}-{objects}" / "1")
+            for objects in (2, 3)
+            for name in (*OURS, "fieldnet")
+        ),
     )
 
 

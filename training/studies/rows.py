@@ -1,6 +1,6 @@
 """How each method of the tables comes to its forecasts: fitted, trained, or simulated."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -55,12 +55,15 @@ class Row:
         Training sequences; None for what learns nothing.
     given_states
         Whether it is given true states or positions instead of frames.
+    fits
+        Whether it is made for a subject.
     """
 
     method: str
     forecasts: Callable[[FixedScenes, int], Forecasts]
     sequences: int | None
     given_states: bool
+    fits: Callable[[Subject], bool] = lambda _: True
 
 
 def resting() -> Row:
@@ -156,7 +159,7 @@ def _from_states(
     budget: int,
 ) -> Row:
     def forecasts(test: FixedScenes, workers: int) -> Forecasts:
-        subject = test.subject
+        subject = test.subject.usual
         training = StateSet(subject.recordings("training", subject.data.scenes, workers))
         known = FixedScenes(subject, "validation", VALIDATION_SCENES, workers)
 
@@ -220,7 +223,7 @@ def _from_frames(
     budget: int,
 ) -> Row:
     def forecasts(test: FixedScenes, workers: int) -> Forecasts:
-        subject = test.subject
+        subject = test.subject.usual
         shards = simulate_split(subject.source, "training", subject.data.scenes, workers)
 
         def stream(first: int) -> Iterator[Batch]:
@@ -270,20 +273,60 @@ def ours(recipe: Recipe, member: str, method: str, budget: int = BUDGET) -> Row:
 
     Parameters
     ----------
+    recipe
+        Of one kind of scene a scenario.
     budget
         Sequences of each kind of scene.
     """
-    whole = replace(recipe, sequences=budget * len(recipe.data))
 
     def forecasts(test: FixedScenes, workers: int) -> Forecasts:
-        folder = runs_folder() / "studies" / whole.name
-        Trainer(whole, folder, Pace(simulators=workers)).run()
-        network = whole.build().networks()[member]
-        best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
-        network.load_state_dict(best["weights"][member])
-        return _seeing(network, test)
+        network = _trained(recipe, member, budget, workers)
+        return _seeing(network, test, recipe.task.final_step)
+
+    def fits(subject: Subject) -> bool:
+        seen = {share.source.change for share in recipe.data}
+        return subject.objects == recipe.task.objects and subject.change in seen
+
+    return Row(method, forecasts, budget, given_states=False, fits=fits)
+
+
+def ours_trained_to_each(
+    recipes: Mapping[int, Recipe], member: str, method: str, budget: int = BUDGET
+) -> Row:
+    """Return networks of ours of which each forecasts only as far as it was trained.
+
+    Parameters
+    ----------
+    recipes
+        By T, the last step of their training.
+    """
+
+    def forecasts(test: FixedScenes, workers: int) -> Forecasts:
+        made = {
+            steps: _seeing(_trained(recipe, member, budget, workers), test)
+            for steps, recipe in recipes.items()
+        }
+        whole = made[max(made)]
+        begin = 0
+        for steps in sorted(made):
+            for name in ("positions", "angular_velocities"):
+                getattr(whole, name)[:, :, begin:steps] = getattr(made[steps], name)[
+                    :, :, begin:steps
+                ]
+            begin = steps
+        return whole
 
     return Row(method, forecasts, budget, given_states=False)
+
+
+def _trained(recipe: Recipe, member: str, budget: int, workers: int) -> Network:
+    whole = replace(recipe, sequences=budget * len(recipe.data))
+    folder = runs_folder() / "studies" / whole.name
+    Trainer(whole, folder, Pace(simulators=workers)).run()
+    network = whole.build().networks()[member]
+    best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
+    network.load_state_dict(best["weights"][member])
+    return network
 
 
 def shipped(folder: Path) -> Row:
@@ -293,14 +336,20 @@ def shipped(folder: Path) -> Row:
     assert isinstance(sequences, int)
 
     def forecasts(test: FixedScenes, workers: int) -> Forecasts:  # noqa: ARG001
-        return _seeing(network, test)
+        return _seeing(network, test, manifest.final_step)
 
-    return Row(manifest.label, forecasts, sequences, given_states=False)
+    def fits(subject: Subject) -> bool:
+        return subject.objects == manifest.objects
+
+    return Row(manifest.label, forecasts, sequences, given_states=False, fits=fits)
 
 
-def _seeing(network: Network, test: FixedScenes) -> Forecasts:
+def _seeing(network: Network, test: FixedScenes, final_step: int | None = None) -> Forecasts:
     alone = Family({"it": network})
-    return forecast(alone, test.windows, test.subject.horizon, torch.device("cpu"))["it"]
+    windows, horizon = test.windows, test.subject.horizon
+    if final_step is not None:
+        windows, horizon = test.windows_until(final_step), final_step + 1
+    return forecast(alone, windows, horizon, torch.device("cpu"))["it"]
 
 
 def folder(subject: Subject, method: str) -> Path:

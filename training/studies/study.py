@@ -20,6 +20,8 @@ class Study:
     ----------
     name
         As ``python -m training study`` knows it, and the name of its page in ``docs/results``.
+    by_scenes
+        Whether it compares scenes rather than methods: a line of its table is a subject.
     """
 
     name: str
@@ -27,6 +29,7 @@ class Study:
     caption: str
     subjects: tuple[Subject, ...]
     rows: Callable[[], tuple[Row, ...]]
+    by_scenes: bool = False
 
     def run(self, file: Path, scenes: int, workers: int, methods: Iterable[str]) -> Iterator[str]:
         """Train and measure the rows that ``file`` lacks; yield what has been done.
@@ -47,7 +50,7 @@ class Study:
         for subject in self.subjects:
             test = None
             for row in rows:
-                if wanted and row.method not in wanted:
+                if not row.fits(subject) or (wanted and row.method not in wanted):
                     continue
                 if _known(Results.read(file), self.name, subject, row, scenes):
                     continue
@@ -60,34 +63,37 @@ class Study:
 
 
 def measured(study: str, subject: Subject, row: Row, made: Forecasts) -> tuple[list[Cell], Curve]:
-    """Measure a row at T_train and T_gen, and its error over time."""
+    """Measure a row at the moments that are compared, and its error over time."""
     cells: list[Cell] = []
-    for horizon, figures in measured_at(made, (subject.trained_horizon, subject.horizon)).items():
-        at = f"T={horizon}"
-        paper = published(subject.scenario, subject.objects, row.method, at)
+    reached = {at: T for at, T in subject.moments.items() if made.positions.shape[2] >= T}
+    figures_at = measured_at(made, reached.values())
+    for at, horizon in reached.items():
+        condition = subject.condition
+        paper = published(subject.scenario, subject.objects, row.method, at, condition)
         cell = Cell(
             scenario=subject.scenario,
             objects=subject.objects,
             method=row.method,
             variant=row.method,
             at=at,
-            **figures._asdict(),
+            **figures_at[horizon]._asdict(),
             test_sequences=len(made.positions),
             training_sequences=row.sequences,
             paper_px=None if paper is None else paper.position_error_px,
             study=study,
+            condition=condition,
         )
         cells.append(cell)
     curve = curve_of(subject.scenario, subject.objects, row.method, None, made.errors_px())
-    return cells, replace(curve, study=study)
+    return cells, replace(curve, study=study, condition=subject.condition)
 
 
 def _known(results: Results, study: str, subject: Subject, row: Row, scenes: int) -> bool:
-    """Whether a row has been measured with its budget on as many scenes."""
+    """Whether a row has been measured with its budget, and on as many scenes if on all."""
+    wanted = (study, subject.scenario, subject.objects, subject.condition, row.method)
     return any(
-        (cell.study, cell.scenario, cell.objects, cell.method)
-        == (study, subject.scenario, subject.objects, row.method)
+        (cell.study, cell.scenario, cell.objects, cell.condition, cell.method) == wanted
         and cell.training_sequences == row.sequences
-        and cell.test_sequences == scenes
+        and (cell.test_sequences == scenes or subject.condition != "")
         for cell in results.cells
     )

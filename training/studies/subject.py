@@ -1,35 +1,96 @@
 """What a study's methods are trained and tested on: one scenario with so many balls."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
 
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
-from rollcast.scene import Scenario
+from rollcast.scene import Scenario, Scene
 from rollcast.simulation.recording import TEST_START
+from rollcast.trajectory import FIRST_FORECAST_FRAME
 from training.baselines.least_squares import POINTS
 from training.baselines.states import States, StateSet
 from training.dataset import Window, WindowMaker, compared_horizon, fixed_windows, generated_horizon
 from training.recipes.compact import ONE_BALL_DATA, several_balls
 from training.recipes.recipe import DataShare
-from training.simulate import Recording, Source, load_recordings, simulate_split
+from training.simulate import Change, Recording, Source, load_recordings, simulate_split
 from training.splits import Split
+
+COLLISION_STEP = 10
+"""Forecast step that the first collision follows (paper, table "Effect of multiple-ball module on
+collision estimation")."""
+MOVED_APART_M = 0.01
+"""By which balls that met lie further apart than if they had gone on: rounding is less."""
+
+
+@dataclass(frozen=True)
+class Among:
+    """Those scenes of which a field lies in a range, the upper end left out."""
+
+    field: str
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.field.replace('_', ' ')} {self.low:g} to {self.high:g}"
+
+    def holds(self, scene: Scene) -> bool:
+        """Whether a scene is one of them."""
+        return self.low <= getattr(scene, self.field) < self.high
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A scenario with so many balls."""
+    """A scenario with so many balls.
+
+    Attributes
+    ----------
+    change
+        What no scene of the training has.
+    among
+        Which of its scenes; None for all.
+    horizons
+        Values of T that are compared; without, T_train and T_gen.
+    colliding
+        Whether every test begins COLLISION_STEP steps before the first collision of two balls.
+    """
 
     scenario: Scenario
     objects: int = 1
+    change: Change | None = None
+    among: Among | None = None
+    horizons: tuple[int, ...] = ()
+    colliding: bool = False
+
+    @property
+    def usual(self) -> "Subject":
+        """All its scenes as they are drawn: what is trained on."""
+        return Subject(self.scenario, self.objects)
+
+    @property
+    def moments(self) -> Mapping[str, int]:
+        """Values of T that are compared, by the name of their column."""
+        if self.colliding:
+            return {f"{T} after the collision": COLLISION_STEP + T for T in (5, 10)}
+        return {f"T={T}": T for T in self.horizons or (self.trained_horizon, self.horizon)}
 
     @property
     def name(self) -> str:
         """Short name, for folders and captions."""
-        return Source(self.scenario, self.objects).name
+        return self.source.name if self.among is None else f"{self.source.name}, {self.among}"
+
+    @property
+    def condition(self) -> str:
+        """What is special about its scenes; "" for all that a scenario has."""
+        if self.colliding:
+            return "before the first collision"
+        if self.change is not None:
+            return self.change.name
+        return "" if self.among is None else str(self.among)
 
     @property
     def trained_horizon(self) -> int:
@@ -50,11 +111,39 @@ class Subject:
     @property
     def source(self) -> Source:
         """Its kind of scenes."""
-        return Source(self.scenario, self.objects)
+        return Source(self.scenario, self.objects, change=self.change)
 
     def recordings(self, split: Split, scenes: int, workers: int) -> list[Recording]:
-        """Load the first scenes of a split; simulate those that are not there."""
-        return load_recordings(simulate_split(self.source, split, scenes, workers))[:scenes]
+        """Load its scenes among the first of a split; simulate those that are not there."""
+        known = load_recordings(simulate_split(self.source, split, scenes, workers))[:scenes]
+        if self.colliding:
+            return [moved for one in known if (moved := before_collision(one, self.horizon))]
+        return [one for one in known if self.among is None or self.among.holds(one.scene)]
+
+
+def before_collision(recording: Recording, horizon: int) -> Recording | None:
+    """Cut a recording so that its test starts COLLISION_STEP steps before two balls first collide.
+
+    Two balls collide between two frames if they would lie in each other had they gone on
+    approaching as they did, and move apart after it. None where no ball does so from the usual
+    start of the test on, or too late for all of a forecast to be known.
+    """
+    scene, path = recording.scene, recording.trajectory
+    start = TEST_START[scene.scenario]
+    centres = path.positions_m
+    first = len(centres)
+    for one, other in combinations(range(scene.objects), 2):
+        apart = np.linalg.norm(centres[:, one] - centres[:, other], axis=-1)
+        # Of frames k - 1, k and k + 1.
+        would_be = 2 * apart[1:-1] - apart[:-2]
+        met = (would_be < 2 * scene.radius_m) & (apart[2:] > would_be + MOVED_APART_M)
+        after = np.flatnonzero(met) + 1
+        after = after[after >= start + FIRST_FORECAST_FRAME + COLLISION_STEP]
+        first = min(first, *after.tolist()) if len(after) else first
+    cut = first - COLLISION_STEP - FIRST_FORECAST_FRAME - start
+    if cut + start + FIRST_FORECAST_FRAME + horizon > len(centres):
+        return None
+    return Recording(scene, path.window(cut, len(centres) - cut))
 
 
 class FixedScenes:
@@ -69,6 +158,10 @@ class FixedScenes:
     def windows(self) -> list[Window]:
         """Frames and truth."""
         return fixed_windows(self.recordings, self.subject.horizon, None)
+
+    def windows_until(self, final_step: int) -> list[Window]:
+        """Frames and truth up to a step, of which a fifth frame is seen."""
+        return fixed_windows(self.recordings, final_step + 1, final_step)
 
     @cached_property
     def truth(self) -> list[Window]:

@@ -1,6 +1,6 @@
 """Pages of the studies: each table with our figure and the paper's in the same cell."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from training.report import title
 from training.results import Cell, Curve, Results
@@ -17,15 +17,14 @@ def page(study: Study, results: Results) -> str:
     parts = [
         f"<!-- Made by `python -m training study {study.name}`; do not edit. -->\n# {study.title}",
         study.caption,
-        _table(study, own),
+        _table_by_scenes(study, own) if study.by_scenes else _table(study, own),
     ]
     if own.cells:
         parts.append(f"![Errors at both horizons]({bars_name(study)})")
     parts += [
-        f"![Error over time, {title(subject.scenario, subject.objects)}]"
-        f"({curves_name(study, subject)})"
+        f"![Error over time, {_scenes(subject)}]({curves_name(study, subject)})"
         for subject in study.subjects
-        if curves_of(own, subject)
+        if curves_of(own, subject) and not study.by_scenes
     ]
     claimed = [claim for claim in CLAIMS if claim.study == study.name]
     if claimed:
@@ -40,21 +39,24 @@ def bars_name(study: Study) -> str:
 
 def curves_name(study: Study, subject: Subject) -> str:
     """Name the picture of a subject's errors over time."""
-    return f"{study.name}-{subject.name}.png"
+    return f"{study.name}-{subject.source.name}.png"
 
 
 def curves_of(results: Results, subject: Subject) -> list[Curve]:
     """Return the errors over time that were measured on a subject."""
-    wanted = (subject.scenario, subject.objects)
-    return [curve for curve in results.curves if (curve.scenario, curve.objects) == wanted]
+    wanted = (subject.scenario, subject.objects, subject.condition)
+    return [
+        curve
+        for curve in results.curves
+        if (curve.scenario, curve.objects, curve.condition) == wanted
+    ]
 
 
 def _table(study: Study, results: Results) -> str:
-    """Return a line a method; bold are the least errors of those that see only four frames."""
-    cells = {(c.scenario, c.objects, c.method, c.at): c for c in results.cells}
+    """Return a line a method; bold are the least errors of those that see frames."""
     rows = study.rows()
-    columns = [(subject, at) for subject in study.subjects for at in _moments(subject)]
-    heads = [f"{title(s.scenario, s.objects)}, {at}" for s, at in columns]
+    columns = [(subject, at) for subject in study.subjects for at in subject.moments]
+    heads = [f"{_scenes(subject)}, {at}" for subject, at in columns]
     lines = [
         f"| method | given | {' | '.join(heads)} | trained on |",
         "|" + "---|" * (len(columns) + 3),
@@ -64,17 +66,19 @@ def _table(study: Study, results: Results) -> str:
             (
                 cell.position_error_px
                 for row in rows
-                if not row.given_states and (cell := _found(cells, subject, row.method, at))
+                if not row.given_states and (cell := _found(results, subject, row.method, at))
             ),
             default=None,
         )
         for subject, at in columns
     }
-    for row in rows:
-        found = [_found(cells, subject, row.method, at) for subject, at in columns]
+    for row in {row.method: row for row in rows}.values():
+        fitting = [one for one in rows if one.method == row.method]
         texts = [
-            _cell(cell, bold=cell is not None and cell.position_error_px == best[column])
-            for column, cell in zip(columns, found, strict=True)
+            _cell(_found(results, subject, row.method, at), best[subject, at])
+            if any(one.fits(subject) for one in fitting)
+            else "-"
+            for subject, at in columns
         ]
         given = "states" if row.given_states else "frames"
         seen = "-" if row.sequences is None else f"{row.sequences:,}"
@@ -82,22 +86,44 @@ def _table(study: Study, results: Results) -> str:
     return "\n".join(lines)
 
 
-def _moments(subject: Subject) -> tuple[str, str]:
-    return f"T={subject.trained_horizon}", f"T={subject.horizon}"
+def _table_by_scenes(study: Study, results: Results) -> str:
+    """Return a line a subject, with every method's errors."""
+    methods = [row.method for row in study.rows()]
+    lines = [
+        f"| scenes | number | {' | '.join(methods)} |",
+        "|" + "---|" * (len(methods) + 2),
+    ]
+    for subject in study.subjects:
+        cells = [
+            [_found(results, subject, method, at) for at in subject.moments] for method in methods
+        ]
+        errors = [
+            " / ".join(f"{cell.position_error_px:.1f}" if cell else MISSING for cell in of_method)
+            for of_method in cells
+        ]
+        number = next((str(cell.test_sequences) for row in cells for cell in row if cell), "-")
+        lines.append(f"| {_scenes(subject)} | {number} | {' | '.join(errors)} |")
+    return "\n".join(lines)
 
 
-def _found(
-    cells: Mapping[tuple[str, int, str, str], Cell], subject: Subject, method: str, at: str
-) -> Cell | None:
-    return cells.get((subject.scenario, subject.objects, method, at))
+def _scenes(subject: Subject) -> str:
+    return ", ".join(filter(None, (title(subject.scenario, subject.objects), subject.condition)))
 
 
-def _cell(cell: Cell | None, *, bold: bool) -> str:
+def _found(results: Results, subject: Subject, method: str, at: str) -> Cell | None:
+    wanted = (subject.scenario, subject.objects, subject.condition, method, at)
+    for cell in results.cells:
+        if (cell.scenario, cell.objects, cell.condition, cell.method, cell.at) == wanted:
+            return cell
+    return None
+
+
+def _cell(cell: Cell | None, best: float | None) -> str:
     """Our error, angular velocity's in brackets, and the paper's after a stroke."""
     if cell is None:
         return MISSING
     ours = f"{cell.position_error_px:.1f}"
-    if bold:
+    if cell.position_error_px == best:
         ours = f"**{ours}**"
     if cell.angular_velocity_rmse is not None:
         ours += f" ({cell.angular_velocity_rmse:.1f})"

@@ -212,7 +212,7 @@ def test_none_leaves_a_parameter_free():
     [
         ({"gravity": 9.81}, "gravity", "one of the scene parameters scenario, seed"),
         ({"radius_m": 0.9}, "radius_m", "less than or equal to 0.25"),
-        ({"axis_ratio": math.nan}, "axis_ratio", "greater than or equal to 0.5|less than"),
+        ({"axis_ratio": math.nan}, "axis_ratio", "greater than or equal to 0.4|less than"),
         ({"rotation_rad": math.inf}, "rotation_rad", "less than or equal"),
         ({"positions_m": ((0, 0, math.inf),)}, "positions_m.0.2", "less than or equal"),
         ({"noise_scale": 0.5}, "scenario", "'hemisphere' has no noise_scale"),

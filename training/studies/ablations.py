@@ -1,0 +1,164 @@
+"""What single choices are worth: texture, the interaction module, supervision, a final frame."""
+
+from dataclasses import replace
+
+from training.models.task import Task
+from training.recipes.compact import one_ball_between, several_balls
+from training.recipes.recipe import Milestone, Recipe
+from training.simulate import Change
+from training.studies.claims import NO_MODULE
+from training.studies.conditions import PLAIN_WHITE
+from training.studies.long_term import MODELS, OURS, of_one_ball
+from training.studies.rows import BUDGET, PLAIN, Row, ours, ours_trained_to_each, resting, shipped
+from training.studies.study import Study
+from training.studies.subject import Subject
+
+WITHOUT_MODULE = f"dispnet{NO_MODULE}"
+TRAINED = f"""Mean error in 128-pixel units, that of angular velocity in rad/s in brackets, and the
+paper's error after the stroke. Every row that learns saw {BUDGET:,} sequences of each kind of scene
+unless its last column says otherwise; the paper's saw about 17 million."""
+LENGTHS = (10, 20, 30, 40)
+
+
+def on_ellipsoids(change: Change | None, *, angular_velocity: bool) -> Recipe:
+    """Return the compact networks, from nothing, on one ball in ellipsoidal bowls."""
+    usual = of_one_ball(angular_velocity=angular_velocity)
+    name = "-".join(
+        [
+            "ellipsoid",
+            *(() if change is None else ("white",)),
+            *(() if angular_velocity else ("plain",)),
+        ]
+    )
+    data = tuple(
+        replace(part, source=replace(part.source, change=change))
+        for part in usual.data
+        if part.source.scenario == "ellipsoid"
+    )
+    return replace(usual, name=name, data=data, scenarios=("ellipsoid",))
+
+
+def of_several_balls(objects: int, *, interaction: bool) -> Recipe:
+    """Return the compact networks, from nothing, with or without the module for several balls."""
+    return replace(
+        several_balls(objects),
+        name=f"{objects}-balls" if interaction else f"{objects}-balls-apart",
+        task=Task(objects, interaction=interaction),
+    )
+
+
+def trained_to(steps: int) -> Recipe:
+    """Return the compact networks, from nothing, supervised up to T = ``steps``."""
+    usual = of_one_ball(angular_velocity=True)
+    if steps == usual.curriculum[-1].horizon:
+        return usual
+    earlier = [one for one in usual.curriculum if one.horizon < steps]
+    last = Milestone(usual.curriculum[-1].spent, steps)
+    return replace(usual, name=f"one-ball-to-{steps}", curriculum=(*earlier, last))
+
+
+def between() -> Recipe:
+    """Return InterpNet, from nothing, on all three scenarios in equal parts."""
+    data = of_one_ball(angular_velocity=True).data
+    return replace(one_ball_between(), data=data)
+
+
+def _textures() -> tuple[Row, ...]:
+    return (
+        resting(),
+        *(
+            ours(on_ellipsoids(change, angular_velocity=spin), name, name + ("" if spin else PLAIN))
+            for name in OURS
+            for spin in (False, True)
+            for change in (None, PLAIN_WHITE)
+        ),
+    )
+
+
+def _modules() -> tuple[Row, ...]:
+    return (
+        resting(),
+        *(
+            ours(of_several_balls(objects, interaction=interaction), f"dispnet-{objects}", method)
+            for objects in (2, 3)
+            for method, interaction in ((WITHOUT_MODULE, False), ("dispnet", True))
+        ),
+        *(
+            shipped(MODELS / f"{name}-{objects}" / "1")
+            for objects in (2, 3)
+            for name in (*OURS, "fieldnet")
+        ),
+    )
+
+
+def _interpolation() -> tuple[Row, ...]:
+    recipes = {steps: trained_to(steps) for steps in LENGTHS}
+    return (
+        resting(),
+        replace(
+            ours_trained_to_each(recipes, "dispnet", "dispnet trained to T"),
+            fits=lambda subject: subject.objects == 1,
+        ),
+        ours(between(), "interpnet", "interpnet"),
+        *(
+            shipped(MODELS / (name + suffix) / "1")
+            for suffix in ("", "-2", "-3")
+            for name in ("dispnet", "fieldnet", "interpnet")
+        ),
+        *(shipped(MODELS / f"fieldnet{part}-between" / "1") for part in ("", "-2", "-3")),
+    )
+
+
+def _supervision() -> tuple[Row, ...]:
+    return (
+        *(ours(trained_to(20), name, name) for name in OURS),
+        *(ours(trained_to(40), name, f"{name} supervised to T=40") for name in OURS),
+    )
+
+
+TEXTURE = Study(
+    "texture",
+    "Textured and white balls",
+    f"""Networks trained and tested on ellipsoidal bowls with balls whose turning can be seen, and
+with white ones. {TRAINED} T_train is 20, T_gen 40.""",
+    (Subject("ellipsoid"), Subject("ellipsoid", change=PLAIN_WHITE)),
+    _textures,
+)
+
+MODULE = Study(
+    "interaction",
+    "With and without the interaction module",
+    f"Long-term prediction of several balls. {TRAINED} T_train is 15, T_gen 30.",
+    (Subject("ellipsoid", 2), Subject("ellipsoid", 3)),
+    _modules,
+)
+
+COLLISIONS = Study(
+    "collisions",
+    "After the first collision",
+    f"""Test scenes in which two balls collide, from ten steps before they first do: errors 5 and 10
+steps after it. {TRAINED}""",
+    (Subject("ellipsoid", 2, colliding=True), Subject("ellipsoid", 3, colliding=True)),
+    _modules,
+)
+
+INTERPOLATION = Study(
+    "interpolation",
+    "Extrapolation and interpolation",
+    f"""Four frames against four and a final one. "dispnet trained to T" is four networks, each
+supervised as far as it forecasts; a committed model that interpolates sees the frame of T_gen.
+{TRAINED}""",
+    (
+        *(Subject(name, horizons=LENGTHS) for name in ("hemisphere", "ellipsoid", "heightfield")),
+        *(Subject("ellipsoid", objects, horizons=LENGTHS[:3]) for objects in (2, 3)),
+    ),
+    _interpolation,
+)
+
+SUPERVISION = Study(
+    "supervision",
+    "Supervised up to 20 steps and up to 40",
+    f"{TRAINED} T_train is 20, T_gen 40.",
+    (Subject("hemisphere"), Subject("ellipsoid"), Subject("heightfield")),
+    _supervision,
+)

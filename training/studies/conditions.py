@@ -1,0 +1,68 @@
+"""Where the committed models are at ease: grounds by difficulty, and beyond their training."""
+
+from itertools import pairwise
+
+from rollcast.scene import SMALL_RADIUS_M
+from training.simulate import Change
+from training.studies.long_term import MODELS, OURS
+from training.studies.rows import Row, least_squares, resting, shipped
+from training.studies.study import Study
+from training.studies.subject import Among, Subject
+
+NOISE_SCALES = (0.2, 0.325, 0.45, 0.575, 0.7)
+"""Ends of four equal parts of the training's range: the smaller, the more hills."""
+
+TRAINED_RADII = f"0.225 m, and {SMALL_RADIUS_M:g} m in a few bowls"
+SMALLER = Change("radius 0.15 m", (("radius_m", 0.15),))
+SLOWER = Change("half as fast", speed=0.5)
+FASTER = Change("one and a half times as fast", speed=1.5)
+NARROWER = Change("radius 0.15 m, axis ratio 0.4", (("radius_m", 0.15), ("axis_ratio", 0.4)))
+LIT_FROM_ABOVE = Change("lit from above", (("light_position_m", (0.0, 0.0, 2.0)),))
+LIT_FROM_BELOW = Change("lit from the height of 1 m", (("light_position_m", (1.25, 1.25, 1.0)),))
+PLAIN_WHITE = Change("white balls", (("textured", False),))
+
+
+def _rows() -> tuple[Row, ...]:
+    return (
+        resting(),
+        least_squares("line", 1),
+        *(shipped(MODELS / name / "1") for name in (*OURS, "fieldnet")),
+    )
+
+
+DIFFICULTY = Study(
+    "difficulty",
+    "Heightfields by difficulty",
+    """The committed one-ball models on the heightfields among 500 test scenes, in four parts by the
+scale of their noise, the side of a cell of its lattice in metres: the smaller, the more hills lie
+in a ball's way. Mean position error in 128-pixel units at T_train = 20 and T_gen = 40; nothing was
+trained for this table.""",
+    tuple(
+        Subject("heightfield", among=Among("noise_scale", low, high))
+        for low, high in pairwise(NOISE_SCALES)
+    ),
+    _rows,
+    by_scenes=True,
+)
+
+UNUSUAL = Study(
+    "unusual",
+    "Outside the training",
+    f"""The committed one-ball models on scenes of which one thing lies outside their training's
+range, beside usual scenes: balls of another radius (trained on {TRAINED_RADII}), other speeds,
+narrower bowls (trained on axis ratios of 0.5 to 1; below 0.47 a ball of the usual size does not
+reach the bottom, so that they go with smaller balls), other lights (trained with the light 2 m
+high, beyond a corner), white balls (trained on coloured ones). Mean position error in 128-pixel
+units at T_train = 20 and T_gen = 40; nothing was trained for this table. The service warns of
+frames that look unlike its training.""",
+    (
+        *(Subject("hemisphere", change=one) for one in (None, SMALLER, SLOWER, PLAIN_WHITE)),
+        *(Subject("ellipsoid", change=one) for one in (None, SMALLER, SLOWER, NARROWER)),
+        *(
+            Subject("heightfield", change=one)
+            for one in (None, SMALLER, SLOWER, FASTER, LIT_FROM_ABOVE, LIT_FROM_BELOW)
+        ),
+    ),
+    _rows,
+    by_scenes=True,
+)
