@@ -112,7 +112,13 @@ export class VideoFootage {
       video.addEventListener("loadeddata", resolve, { once: true });
       video.addEventListener(
         "error",
-        () => reject(new FootageError(`This browser cannot decode ${file.name}.`)),
+        () =>
+          reject(
+            new FootageError(
+              `This browser cannot decode ${file.name}: H.264 in MP4 and VP9 in WebM work in most. ` +
+                "rollcast predict, in a shell, reads every kind of video.",
+            ),
+          ),
         { once: true },
       );
     });
