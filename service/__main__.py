@@ -1,6 +1,7 @@
 """``python -m service``: serve the models of this checkout."""
 
 import argparse
+import ipaddress
 import socket
 import sys
 
@@ -22,6 +23,12 @@ def main() -> int:
         return _fail("; ".join(": ".join(map(str, fault)) for fault in faults))
     except ValueError as error:
         return _fail(str(error))
+    if settings.keys_file is None and not settings.anonymous and not _is_loopback(host):
+        return _fail(
+            f"will not listen on {host} without API keys, for others may reach it. Name a file of "
+            "keys (python -m service.keys makes it): ROLLCAST_KEYS_FILE=keys.json. Or let "
+            "everybody ask: ROLLCAST_ANONYMOUS=true"
+        )
     try:
         listener = socket.create_server((host, port), family=family)
     except OSError as error:
@@ -51,8 +58,8 @@ def _parser(settings: str) -> argparse.ArgumentParser:
     parser.add_argument(
         "--host",
         default="127.0.0.1",
-        help="address to listen on; 0.0.0.0 opens the service to the network (default: this "
-        "machine alone)",
+        help="address to listen on; 0.0.0.0 opens the service to the network, which needs API keys "
+        "or ROLLCAST_ANONYMOUS=true (default: this machine alone)",
     )
     parser.add_argument(
         "--port",
@@ -68,6 +75,15 @@ def _port(text: str) -> int:
     if not 0 <= port < 2**16:
         raise ValueError
     return port
+
+
+def _is_loopback(host: str) -> bool:
+    """Whether an address, or every address of a name, is this machine's own."""
+    try:
+        found = socket.getaddrinfo(host, None)
+    except OSError:
+        return True  # listening will tell what is wrong with it
+    return all(ipaddress.ip_address(address[0]).is_loopback for *_, address in found)
 
 
 def _fail(reason: str) -> int:

@@ -1,9 +1,9 @@
-"""Who may ask the service for what. Without a file of keys everybody may (decision 0123)."""
+"""Who may ask the service for what, and how often (decisions 0123 and 0127)."""
 
 from fastapi import Request
 
 from service.errors import ForbiddenError, UnauthorizedError
-from service.keyring import Right
+from service.keyring import Key, Keyring, Right
 from service.problems import PROTOCOL_PATH
 from service.state import ServiceState
 
@@ -31,15 +31,26 @@ async def check_access(request: Request, service: ServiceState) -> None:
         Without a key that is known and has not expired.
     ForbiddenError
         With one that has not the right.
+    TooManyRequestsError
+        When whoever asks has asked too often.
     """
     # The route's own path: what a proxy puts before it does not matter.
     right = right_for(request.scope["route"].path)
-    if service.keyring is None or right is None:
+    if right is None:
         return
+    asker = request.client.host if request.client else "somebody"
+    if service.keyring is not None:
+        asker = _key(request, service.keyring, right).name
+    if service.rates is not None and right != "metrics":
+        service.rates.count(asker)
+
+
+def _key(request: Request, keyring: Keyring, right: Right) -> Key:
+    """Return the key that a request shows, if it has the right."""
     scheme, _, token = request.headers.get("authorization", "").partition(" ")
     if scheme.lower() != "bearer" or not token:
         raise UnauthorizedError("This needs an API key: Authorization: Bearer KEY.")
-    key = service.keyring.find(token.strip())
+    key = keyring.find(token.strip())
     if key is None:
         raise UnauthorizedError("This API key is not known, or has expired.")
     if right not in key.rights:
@@ -47,3 +58,4 @@ async def check_access(request: Request, service: ServiceState) -> None:
             f"The key {key.name} may not do this: it needs the right {right!r} and has "
             f"{', '.join(map(repr, key.rights))}."
         )
+    return key

@@ -9,12 +9,14 @@ from fastapi_offline import FastAPIOffline
 
 from rollcast.http import API_VERSION
 from service.access import check_access
+from service.headers import install_headers
 from service.keyring import Keyring
 from service.loading import Loader, load_registry
 from service.logs import install_access_log
 from service.metrics import Metrics
 from service.openapi import install_openapi
 from service.problems import install_problem_handlers
+from service.rates import Rates
 from service.routes import (
     health,
     home,
@@ -56,13 +58,16 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
                 figures.batches,
             ),
             simulation=Workers(
-                RecycledProcess(settings.simulation_recycle),
+                RecycledProcess(settings.simulation_recycle, settings.simulation_timeout_s),
                 1 + settings.simulation_queue,
                 figures.held.labels("simulation"),
             ),
             metrics=figures,
             load=load,
             keyring=None if settings.keys_file is None else Keyring(settings.keys_file),
+            rates=None
+            if settings.requests_per_minute is None
+            else Rates(settings.requests_per_minute),
         )
         app.state.service = state
         loading = asyncio.create_task(_load(state))
@@ -95,6 +100,7 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
     install_openapi(app)
     figures.watch_requests(app)
     install_access_log(app, settings.replica)
+    install_headers(app, settings.allowed_origins)
     for feature in (predict, simulate, models, inference, repository, health, metrics, home):
         app.include_router(feature.router)
     home.install_static_files(app)

@@ -15,6 +15,7 @@
   x SceneRejectedProblem       422  the rejection rules dropped every scene
   x DivergedError              422  the forecast leaves every bound before its horizon
   x QueueFullError             429
+  x TooManyRequestsError       429  one key, or one address, asks more often than it may
   x SimulationLostError        503  the process that simulates died of it, or cannot be started
   x OutOfMemoryError           503  the machine, or the container, has no memory left for it
   x ModelUnavailableError      503  the model exists and is not served
@@ -148,6 +149,24 @@ class QueueFullError(ServiceError):
     """More requests wait than the service is set to hold."""
 
     status, slug, title = 429, "queue-full", "The queue is full"
+
+
+class TooManyRequestsError(ServiceError):
+    """Somebody asks more often than the settings allow.
+
+    Parameters
+    ----------
+    detail
+        What happened, in a sentence.
+    retry_after_s
+        Seconds after which it may ask again.
+    """
+
+    status, slug, title = 429, "too-many-requests", "Too many requests"
+
+    def __init__(self, detail: str, retry_after_s: int) -> None:
+        super().__init__(detail)
+        self.retry_after_s = retry_after_s
 
 
 class SimulationLostError(ServiceError):

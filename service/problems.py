@@ -26,8 +26,10 @@ from service.errors import (
     QueueFullError,
     ServiceError,
     SimulationLostError,
+    TooManyRequestsError,
     UnauthorizedError,
 )
+from service.headers import ALWAYS, NOTHING_RUNS, POLICY
 from service.logs import REQUEST_ID_HEADER, request_id
 from service.protocol import InferError
 
@@ -103,6 +105,8 @@ def _answer(request: Request, error: Exception) -> Response:
             problem = _refusal(error)
             if isinstance(error, UnauthorizedError):
                 headers["WWW-Authenticate"] = "Bearer"
+            if isinstance(error, TooManyRequestsError):
+                headers["Retry-After"] = str(error.retry_after_s)
             if isinstance(error, PASSING):
                 headers["Retry-After"] = str(request.app.state.service.settings.retry_after_s)
         case MemoryError():
@@ -120,7 +124,8 @@ def _answer(request: Request, error: Exception) -> Response:
                 status=500,
                 detail="The fault is the service's; its log has the reason.",
             )
-            # What adds the id to every other answer is not asked when a route fails.
+            # What adds these to every other answer is not asked when a route fails.
+            headers |= ALWAYS | {POLICY: NOTHING_RUNS}
             if (failed := request_id()) is not None:
                 headers[REQUEST_ID_HEADER] = failed
     if f"{request.url.path}/".startswith(f"{PROTOCOL_PATH}/"):

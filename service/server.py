@@ -34,6 +34,7 @@ class Server(uvicorn.Server):
                 ),
                 log_config=configuration(settings.log_format),
                 access_log=False,  # service.logs has its own
+                server_header=False,
                 timeout_graceful_shutdown=settings.stop_timeout_s,
             )
         )

@@ -3,7 +3,7 @@
 import os
 import textwrap
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from loky import cpu_count
 from pydantic import DirectoryPath, Field, FilePath, ValidationError, model_validator
@@ -42,6 +42,9 @@ def metrics_are_shared() -> bool:
     return "PROMETHEUS_MULTIPROC_DIR" in os.environ
 
 
+Origin: TypeAlias = Annotated[str, Field(pattern=r"^(\*|https?://[^/\s]+)$")]
+
+
 class Settings(BaseSettings):
     """Every setting of the service; one that is unknown is refused wherever it stands."""
 
@@ -54,6 +57,15 @@ class Settings(BaseSettings):
     keys_file: FilePath | None = None
     """File of API keys, which `python -m service.keys` makes; it is read again when it changes.
     Without one nobody is asked for a key."""
+    anonymous: bool = False
+    """Whether everybody may ask on addresses that others reach. Without keys and without this the
+    service listens to its own machine alone."""
+    requests_per_minute: Annotated[int, Field(ge=1)] | None = None
+    """Requests that each key may send in a minute, or without keys each address; one more is
+    refused with 429. By default as many as it likes."""
+    allowed_origins: tuple[Origin, ...] = ()
+    """Origins of web pages, SCHEME://HOST[:PORT], that may ask the service from a browser; "*"
+    stands for all of them. By default its own page alone."""
     max_body_bytes: Annotated[int, Field(ge=1)] = 64 * MEBI
     """Largest request body; a larger one is refused with 413 while it is being read."""
     receive_timeout_s: Annotated[float, Field(gt=0)] = 60
@@ -76,6 +88,9 @@ class Settings(BaseSettings):
     """Simulations that may wait for the one that runs; one more is refused with 429."""
     simulation_recycle: Annotated[int, Field(ge=1)] = 500
     """Simulations after which the process that runs them is replaced."""
+    simulation_timeout_s: Annotated[float, Field(gt=0)] = 120
+    """Seconds after which a simulation is given up with 504 and its process killed; the next one
+    gets a new process."""
     max_simulated_pixels: Annotated[int, Field(ge=1)] = 64 * MEBI
     """Largest number of pixels, all frames together, that one simulation may draw."""
     retry_after_s: Annotated[int, Field(ge=1)] = 1

@@ -14,7 +14,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
@@ -27,6 +27,7 @@ from rollcast.http import SimulatedObject, SimulateRequest, SimulateResponse, Su
 from rollcast.scene import COLORS, Scene
 from rollcast.surfaces import surface_of
 from rollcast.trajectory import FRAME_RATE_HZ
+from service.errors import DeadlineExceededError
 
 if TYPE_CHECKING:
     from rollcast.simulation import Simulator
@@ -119,53 +120,78 @@ def _png_files(frames: UInt8[np.ndarray, "steps S S 3"]) -> list[str]:
     return files
 
 
-class RecycledProcess(Executor):
+class RecycledProcess(ThreadPoolExecutor):
     """An executor with one process, started on demand and replaced after a number of calls.
 
-    ``ProcessPoolExecutor(max_tasks_per_child=...)`` does the same and can deadlock in Python 3.11
-    (CPython issue 115634). A process that dies takes the calls with it that it was given; the next
-    call gets a new one.
+    It has one call at a time: a process that dies, or is killed because it takes too long, takes
+    that call with it and no other. ``ProcessPoolExecutor(max_tasks_per_child=...)`` recycles too
+    and can deadlock in Python 3.11 (CPython issue 115634).
 
     Parameters
     ----------
     recycle_after
         Calls after which the process is replaced.
+    timeout_s
+        Seconds that a call may take.
     """
 
-    def __init__(self, recycle_after: int) -> None:
+    def __init__(self, recycle_after: int, timeout_s: float) -> None:
+        super().__init__(1, "simulation")
         self._recycle_after = recycle_after
+        self._timeout_s = timeout_s
         self._calls = 0
         self._process = _new_process()
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Hand a call to the process; arguments, result and exceptions are pickled.
 
-        Raises
-        ------
-        BrokenProcessPool
-            When no process can be started: there are no descriptors left, or no memory.
+        The future raises ``BrokenProcessPool`` when the process dies or none can be started (there
+        are no descriptors left, or no memory), ``DeadlineExceededError`` when it takes too long.
         """
+        return super().submit(self._call, fn, *args, **kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End; whoever has not waited for a running call by now does not wait for it."""
+        super().shutdown(wait=False, cancel_futures=cancel_futures)
+        _kill(self._process)
+        super().shutdown(wait)
+
+    def _call(self, fn: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         try:
-            if self._calls == self._recycle_after:
-                self._replace()
-            self._calls += 1
-            try:
-                return self._process.submit(fn, *args, **kwargs)
-            except BrokenProcessPool:
-                self._replace()
-                return self._process.submit(fn, *args, **kwargs)
+            future = self._handed_over(fn, *args, **kwargs)
         except (OSError, RuntimeError) as error:
             self._calls = self._recycle_after  # the next call begins with a new one
             raise BrokenProcessPool("No process can be started.") from error
+        done, _ = wait([future], self._timeout_s)
+        if not done:
+            self._replace()
+            raise DeadlineExceededError(
+                f"The simulation had not ended after {self._timeout_s:g} s."
+            )
+        return future.result()
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Let the running call end, and the process with it."""
-        self._process.shutdown(wait, cancel_futures=cancel_futures)
+    def _handed_over(self, fn: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        if self._calls == self._recycle_after:
+            self._replace()
+        self._calls += 1
+        try:
+            return self._process.submit(fn, *args, **kwargs)
+        except BrokenProcessPool:
+            self._replace()
+            return self._process.submit(fn, *args, **kwargs)
 
     def _replace(self) -> None:
         before, self._process = self._process, _new_process()
-        before.shutdown(wait=False)
+        _kill(before)
         self._calls = 0
+
+
+def _kill(pool: ProcessPoolExecutor) -> None:
+    """End a pool with its process, which may be stuck in code that hears no signal but this one."""
+    # ProcessPoolExecutor.kill_workers comes with Python 3.14.
+    for process in [*(pool._processes or {}).values()]:  # pyright: ignore[reportPrivateUsage]
+        process.kill()
+    pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _new_process() -> ProcessPoolExecutor:

@@ -10,6 +10,7 @@ from service.errors import NotReadyError
 from service.keyring import Keyring
 from service.loading import Loader
 from service.metrics import Metrics
+from service.rates import Rates
 from service.registry import Registry
 from service.scheduler import Scheduler
 from service.settings import Settings
@@ -32,6 +33,8 @@ class State:
         Loads models from their folder.
     keyring
         The API keys; None where nobody is asked for one.
+    rates
+        How often each may ask; None where everybody may as often as they like.
     registry
         The models; empty while loading.
     changing
@@ -46,6 +49,7 @@ class State:
     metrics: Metrics
     load: Loader
     keyring: Keyring | None = None
+    rates: Rates | None = None
     registry: Registry = field(default_factory=lambda: Registry([]))
     changing: asyncio.Lock = field(default_factory=asyncio.Lock)
     phase: Literal["loading", "serving", "draining"] = "loading"

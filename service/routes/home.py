@@ -24,7 +24,7 @@ CONTENT_SECURITY_POLICY = "; ".join(
 )
 """The page runs and loads what this service serves, and shows what its user drops on it."""
 
-REVALIDATED = {"Cache-Control": "no-cache", "X-Content-Type-Options": "nosniff"}
+REVALIDATED = {"Cache-Control": "no-cache"}
 """A browser asks whether a file is still the same, so files of two versions never meet."""
 
 router = APIRouter(include_in_schema=False)
@@ -33,10 +33,7 @@ router = APIRouter(include_in_schema=False)
 @router.get("/")
 async def home() -> FileResponse:
     """Return the page."""
-    headers = REVALIDATED | {
-        "Content-Security-Policy": CONTENT_SECURITY_POLICY,
-        "Referrer-Policy": "no-referrer",
-    }
+    headers = REVALIDATED | {"Content-Security-Policy": CONTENT_SECURITY_POLICY}
     return FileResponse(PAGE, media_type="text/html", headers=headers)
 
 

@@ -20,7 +20,7 @@ router = APIRouter(tags=["simulation"])
     "/simulate",
     name="simulate",
     response_model=SimulateResponse,
-    responses=problems_of(400, 401, 403, 408, 413, 415, 422, 429, 503),
+    responses=problems_of(400, 401, 403, 408, 413, 415, 422, 429, 503, 504),
     openapi_extra=body_of(SimulateRequest, JSON),
 )
 async def simulate_scene(request: Request, service: ServiceState) -> Response:

@@ -187,3 +187,29 @@ def test_without_a_file_nobody_is_asked(start):
     wait_until_ready(client)
     for path in ("/models", "/metrics", "/v2"):
         assert client.get(path).status_code == 200
+
+
+def test_each_address_may_ask_so_often(start):
+    client = start(requests_per_minute=3)
+    statuses = [client.get("/models").status_code for _ in range(4)]
+    assert statuses == [200, 200, 200, 429]
+    refused = client.get("/models")
+    assert refused.json()["type"] == "/problems/too-many-requests"
+    assert 1 <= int(refused.headers["retry-after"]) <= 60
+    # What watches over the process may always ask.
+    assert client.get("/health/ready").status_code == 200
+    assert client.get("/metrics").status_code == 200
+    assert client.get("/v2/models/nobody").json()["error"].startswith("testclient has sent 3")
+
+
+def test_each_key_may_ask_so_often_and_takes_nothing_from_others(start, keys):
+    path, tokens = keys
+    client = start(keys_file=path, requests_per_minute=2)
+
+    def ask(name: str) -> int:
+        headers = {"Authorization": f"Bearer {tokens[name]}"}
+        return client.get("/models", headers=headers).status_code
+
+    assert [ask("robot") for _ in range(3)] == [200, 200, 429]
+    assert ask("admin") == 200
+    assert client.get("/models").status_code == 401

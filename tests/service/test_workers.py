@@ -2,14 +2,17 @@ import asyncio
 import multiprocessing
 import os
 import resource
+import signal
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
 
 import pytest
 from prometheus_client import Gauge
 
-from service.errors import QueueFullError
+from service.errors import DeadlineExceededError, QueueFullError
 from service.simulations import RecycledProcess
 from service.workers import Workers
 from tests.service import samples
@@ -94,7 +97,7 @@ def test_a_full_queue_is_429_with_retry_after(start):
 
 @pytest.fixture
 def process():
-    process = RecycledProcess(recycle_after=3)
+    process = RecycledProcess(recycle_after=3, timeout_s=30)
     yield process
     process.shutdown()
 
@@ -113,13 +116,59 @@ def test_a_process_that_dies_is_replaced(process):
     assert process.submit(max, 1, 2).result() == 2
 
 
+def test_a_process_that_dies_takes_no_call_that_waits(process):
+    lost, waiting = process.submit(os._exit, 1), process.submit(max, 1, 2)
+    with pytest.raises(BrokenProcessPool):
+        lost.result()
+    assert waiting.result() == 2
+
+
+def stop_itself() -> None:
+    """Hear no signal but SIGKILL any more, as whoever is stuck in the kernel does."""
+    os.kill(os.getpid(), signal.SIGSTOP)
+
+
+def test_a_process_that_is_stuck_is_killed_and_the_next_call_answered():
+    process = RecycledProcess(recycle_after=10, timeout_s=1)
+    pid = process.submit(os.getpid).result()
+    stuck, waiting = process.submit(stop_itself), process.submit(max, 1, 2)
+    with pytest.raises(DeadlineExceededError, match="had not ended after 1 s"):
+        stuck.result()
+    assert waiting.result() == 2
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+    process.shutdown()
+
+
+def test_a_stuck_call_does_not_keep_the_executor():
+    process = RecycledProcess(recycle_after=10, timeout_s=600)
+    pid = process.submit(os.getpid).result()
+    stuck = process.submit(stop_itself)
+    while "T" not in Path(f"/proc/{pid}/stat").read_text().split()[2]:
+        time.sleep(0.01)
+    process.shutdown(cancel_futures=True)
+    assert isinstance(stuck.exception(), BrokenProcessPool)
+
+
+def test_a_stuck_simulation_is_504_and_the_next_is_answered(start):
+    client = start(simulation_timeout_s=5)
+    asked = {"scenario": "hemisphere", "seed": 1, "steps": 4, "include_frames": False}
+    assert client.post("/simulate", json=asked).status_code == 200
+    for child in multiprocessing.active_children():
+        assert child.pid is not None
+        os.kill(child.pid, signal.SIGSTOP)
+    answer = client.post("/simulate", json=asked)
+    assert (answer.status_code, answer.json()["type"]) == (504, "/problems/deadline-exceeded")
+    assert client.post("/simulate", json=asked).status_code == 200
+
+
 def test_a_process_that_cannot_be_started_is_told_and_started_later(process):
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (3, before[1]))
     try:
         for _ in range(2):
             with pytest.raises(BrokenProcessPool):
-                process.submit(max, 1, 2)
+                process.submit(max, 1, 2).result()
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
     assert process.submit(max, 1, 2).result() == 2
