@@ -40,7 +40,7 @@ define step
 	@printf -- '--- %s\n' '$(1)'; $(2) || { printf 'rollcast: FAILED: %s\n' '$(1)' >&2; exit 1; }
 endef
 
-.PHONY: help serve test docs bench browser-test image-test cluster-test scaling fuzz fuzz-api mutate faults soak format lint environments lock clean
+.PHONY: help serve test docs bench browser-test image-test cluster-test scaling fuzz fuzz-api mutate faults soak sbom licences format lint environments lock clean
 .NOTPARALLEL:
 
 help:
@@ -57,6 +57,8 @@ help:
 	@echo 'make mutate   how many changed lines of the core the tests notice'
 	@echo 'make faults   processes killed, disks full, clocks moved, clients deaf: what a service under load does'
 	@echo 'make soak     100,000 mixed requests and 5,000 simulations: memory, descriptors, times'
+	@echo 'make sbom     what the images are made of, as CycloneDX files in build/'
+	@echo 'make licences the licences of that, into docs/licences.md'
 	@echo 'make format   format the code'
 	@echo 'make lint     the checks of make test without its tests'
 	@echo 'make lock     compile requirements/*.txt anew from pyproject.toml (UPGRADE=1: newest versions)'
@@ -129,6 +131,24 @@ soak:
 	@tools/environment.sh bench
 	@.venv/bench/bin/python -m tests.soak.serve_long $(SOAK_ARGS)
 
+sbom:
+	@tools/environment.sh supply
+	@mkdir -p build
+	@for name in service ray training; do \
+		.venv/supply/bin/cyclonedx-py requirements requirements/$$name.txt --pyproject pyproject.toml \
+			--mc-type application --output-reproducible --sv 1.6 -o build/sbom-$$name.json || exit 1; \
+		echo "rollcast: build/sbom-$$name.json"; \
+	done
+
+licences:
+	@tools/environment.sh supply
+	@tools/environment.sh service
+	@.venv/supply/bin/pip-licenses --python .venv/service/bin/python --format markdown --with-urls \
+		--order license --ignore-packages pip setuptools > docs/licences.md.new
+	@{ echo '<!-- Made by `make licences`; do not edit. -->'; echo '# Licences'; echo; \
+		echo 'What the service is made of, in the versions of its lock.'; echo; \
+		cat docs/licences.md.new; } > docs/licences.md && rm docs/licences.md.new
+
 lint:
 	@tools/environment.sh test --torch
 	$(call step,ruff format,$(BIN)/ruff format --check --quiet . || { $(BIN)/ruff format --check .; false; })
@@ -172,7 +192,7 @@ lock:
 		--output-file requirements/bench.txt
 	$(foreach name,fuzz mutation,$(UV_COMPILE) --extra $(name) --constraint requirements/test.txt \
 		--output-file requirements/$(name).txt &&) true
-	$(foreach name,protocol browser docs image $(PEERS),$(UV_COMPILE:pyproject.toml=) \
+	$(foreach name,protocol browser docs image supply $(PEERS),$(UV_COMPILE:pyproject.toml=) \
 		--group pyproject.toml:$(name) --output-file requirements/$(name).txt &&) true
 
 clean:

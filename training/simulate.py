@@ -12,6 +12,7 @@ import multiprocessing
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -49,8 +50,9 @@ class Change:
     parameters
         Fields of :class:`rollcast.scene.Scene` that are fixed, with their values.
     speed
-        Start velocities relative to those that are drawn. Scenes that are rejected with it are left
-        out.
+        Start velocities relative to those that are drawn.
+
+    Scenes that are rejected with it are left out.
     """
 
     name: str
@@ -89,16 +91,18 @@ class Source:
         return radius | dict(() if self.change is None else self.change.parameters)
 
     def sequence(self, simulator: Simulator, seed: int) -> Simulated | None:
-        """Simulate one of its scenes; None when a rule rejects it at its speed."""
-        scenario, objects, parameters = self.scenario, self.objects, self.parameters
-        if self.change is None or self.change.speed == 1:
-            return simulator.sequence(scenario, objects, seed, STORED_FRAMES, 0, parameters)
-        usual = simulator.sequence(scenario, objects, seed, 1, 0, parameters).scene
-        parameters |= usual.model_dump(include={"positions_m", "orientations_xyzw"})
-        velocities = self.change.speed * np.array(usual.velocities_m_s)
-        parameters["velocities_m_s"] = velocities.tolist()
+        """Simulate one of its scenes; None when a rule rejects what is unusual about it."""
+        draw = partial(simulator.sequence, self.scenario, self.objects, seed)
+        parameters = self.parameters
+        if self.change is None:
+            return draw(STORED_FRAMES, 0, parameters)
         try:
-            return simulator.sequence(scenario, objects, seed, STORED_FRAMES, 0, parameters)
+            if self.change.speed != 1:
+                usual = draw(1, 0, parameters).scene
+                parameters |= usual.model_dump(include={"positions_m", "orientations_xyzw"})
+                velocities = self.change.speed * np.array(usual.velocities_m_s)
+                parameters["velocities_m_s"] = velocities.tolist()
+            return draw(STORED_FRAMES, 0, parameters)
         except SceneRejectedError:
             return None
 

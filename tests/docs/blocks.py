@@ -23,9 +23,9 @@ NOT_RUN = {
     ("start.md", "python3.11 -m venv .venv/client"): INDEX,
     ("api-python.md", "pip install .                                # the client"): INDEX,
     ("deployment.md", "make serve"): SERVER,
-    ("deployment.md", ".venv/service/bin/python -m service --host 0.0.0.0 --port 8000"): SERVER,
+    ("deployment.md", "export ROLLCAST_KEYS_FILE=keys.json"): SERVER,
     ("deployment.md", "docker build -f docker/service.Dockerfile -t rollcast-service ."): DOCKER,
-    ("deployment.md", "kubectl apply -f docker/kubernetes/rollcast.yaml"): CLUSTER,
+    ("deployment.md", "kubectl create secret generic rollcast-keys --from-file=keys.json"): CLUSTER,
     ("deployment.md", "serve run service.cluster:application"): CLUSTER,
     ("research.md", "python -m training simulate hemisphere --scenes 1000 --split training"): HOURS,
     (

@@ -101,3 +101,38 @@ def test_a_service_without_its_file_says_so(tmp_path):
     assert answer.returncode == 1
     assert answer.stderr.startswith("rollcast: keys_file: ")
     assert answer.stderr.count("\n") == 1
+
+
+def said(*arguments: str, **settings: str) -> subprocess.Popen[str]:
+    variables = [f"{name}={value}" for name, value in settings.items()]
+    return subprocess.Popen(
+        ["env", *variables, SERVICE_PYTHON, "-m", "service", "--port", "0", *arguments],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_a_network_is_not_served_without_keys_unless_told_so(tmp_path):
+    file = tmp_path / "keys.json"
+    keys(file, "add", "robot")
+    refused = said("--host", "0.0.0.0")
+    _, line = refused.communicate(timeout=60)
+    assert refused.returncode == 1
+    assert line.startswith("rollcast: will not listen on 0.0.0.0 without API keys")
+    assert "ROLLCAST_KEYS_FILE=" in line
+    assert "ROLLCAST_ANONYMOUS=true" in line
+    for settings in ({"ROLLCAST_KEYS_FILE": str(file)}, {"ROLLCAST_ANONYMOUS": "true"}):
+        told = said("--host", "0.0.0.0", **settings)
+        assert told.stdout is not None
+        assert told.stdout.readline().startswith("Rollcast listens on http://0.0.0.0:")
+        stop_service(told)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "127.0.0.2"])
+def test_this_machine_alone_needs_no_keys(host):
+    told = said("--host", host)
+    assert told.stdout is not None
+    assert told.stdout.readline().startswith(f"Rollcast listens on http://{host}:")
+    stop_service(told)

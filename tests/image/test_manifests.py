@@ -44,6 +44,22 @@ def test_kubernetes():
         assert f"passed for resource {kind}/rollcast" in said
 
 
+def test_every_manifest_says_who_may_ask():
+    """Without one of the two the service would not listen to others."""
+    deployment = next(yaml.safe_load_all((DOCKER / "kubernetes" / "rollcast.yaml").read_text()))
+    runtime = next(yaml.safe_load_all((DOCKER / "kubernetes" / "kserve.yaml").read_text()))
+    compose = yaml.safe_load((DOCKER / "compose.yaml").read_text())
+    containers = (
+        *deployment["spec"]["template"]["spec"]["containers"],
+        *runtime["spec"]["containers"],
+    )
+    given = [
+        *({one["name"] for one in container["env"]} for container in containers),
+        set(compose["services"]["service"]["environment"]),
+    ]
+    assert all(names & {"ROLLCAST_KEYS_FILE", "ROLLCAST_ANONYMOUS"} for names in given)
+
+
 def test_pods_of_kserve_and_ray(tmp_path):
     """What stands inside other people's kinds is a pod, as Kubernetes knows it."""
     runtime = next(yaml.safe_load_all((DOCKER / "kubernetes" / "kserve.yaml").read_text()))

@@ -192,3 +192,12 @@ def test_a_client_that_reads_slowly_gets_its_whole_answer(address):
             time.sleep(0.1)
         assert time.monotonic() - started > 2 * TIMEOUT_S
     assert len(json.loads(answer.partition(b"\r\n\r\n")[2])["times_s"]) == 1000
+
+
+def test_no_answer_names_the_software(address):
+    for head in (b"GET /health/live HTTP/1.1", b"GET /nowhere HTTP/1.1", b"nonsense"):
+        answer = exchange(address, head).lower()
+        assert answer.startswith(b"http/1.1 ")
+        assert b"server:" not in answer
+        assert b"uvicorn" not in answer
+        assert b"python" not in answer

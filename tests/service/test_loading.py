@@ -1,6 +1,7 @@
 """What a folder of artefacts becomes; the graphs themselves are tried in tests/contract."""
 
 import hashlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -117,6 +118,23 @@ def test_golden_values_that_are_not_numbers_are_refused(write, tmp_path):
 def test_golden_values_of_another_shape_are_refused(write, tmp_path):
     write(golden={"angular_velocities": np.ones((1, 1, 2, 3), np.float32)})
     assert "has the shape (1, 1, 3, 3), golden (1, 1, 2, 3)" in reason(tmp_path)
+
+
+class Harm:
+    """Leaves a file behind when it is unpickled."""
+
+    def __init__(self, path):
+        self._path = path
+
+    def __reduce__(self):
+        return Path.touch, (self._path,)
+
+
+def test_a_pickle_in_a_model_is_refused_and_not_run(write, tmp_path):
+    left = tmp_path / "left"
+    write(golden={"positions": np.array([Harm(left)], dtype=object)})
+    assert "allow_pickle" in reason(tmp_path)
+    assert not left.exists()
 
 
 def test_whatever_the_runtime_raises_is_a_reason(write, tmp_path):
