@@ -21,6 +21,7 @@ BODIES: Sequence[type[BaseModel]] = (
     InferResponse,
     InferError,
 )
+KEY = {"type": "http", "scheme": "bearer", "description": "An API key (decision 0123)."}
 FRAMEWORK_SCHEMAS = ("HTTPValidationError", "ValidationError")
 
 
@@ -79,6 +80,8 @@ def install_openapi(app: FastAPI) -> None:
                 [(model, "validation") for model in BODIES], ref_template=REFERENCE
             )
             schema["components"]["schemas"] |= bodies["$defs"]
+            schema["components"]["securitySchemes"] = {"key": KEY}
+            schema["security"] = [{}, {"key": []}]  # asked for where keys are named
             _drop_unsent_refusals(schema)
             app.openapi_schema = schema
         return app.openapi_schema

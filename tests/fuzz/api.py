@@ -1,5 +1,7 @@
 """``make fuzz-api``: schemathesis with all its checks on every route of the real service.
 
+Twice: as everybody, and with a key of a service that asks for one.
+
 Exits with 1 when a check failed, when an answer was 500 or when there were too few cases.
 """
 
@@ -12,6 +14,7 @@ from collections import Counter
 from pathlib import Path
 
 from rollcast.client import Client
+from service.keyring import Key, KeyFile, digest, new_token
 from tests.e2e.conftest import ROOT, start_service, stop_service, wait_until_ready
 
 LEAST_CASES = 5000
@@ -44,9 +47,23 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--examples", type=int, default=250, help="of every route, at most")
     given = parser.parse_args()
-    process, address = start_service(ROLLCAST_MAX_SIMULATED_PIXELS=str(MOST_PIXELS))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "keys.json"
+        token = new_token()
+        key = Key(name="all", sha256=digest(token), rights=("forecast", "manage", "metrics"))
+        KeyFile(keys=(key,)).write(file)
+        open_to_all = well(given.examples)
+        guarded = well(given.examples, token, ROLLCAST_KEYS_FILE=str(file))
+    return 0 if open_to_all and guarded else 1
+
+
+def well(examples: int, token: str | None = None, **settings: str) -> bool:
+    """Try a service with some settings; return whether every check passed."""
+    limit = str(MOST_PIXELS)
+    process, address = start_service(ROLLCAST_MAX_SIMULATED_PIXELS=limit, **settings)
+    shown = () if token is None else ("--header", f"Authorization: Bearer {token}")
     try:
-        with Client(address) as client:
+        with Client(address, api_key=token) as client:
             wait_until_ready(client)
         with tempfile.TemporaryDirectory() as scratch:
             report = Path(scratch) / "report.ndjson"
@@ -56,11 +73,12 @@ def main() -> int:
                     "--checks",
                     "all",
                     "--max-examples",
-                    str(given.examples),
+                    str(examples),
                     "--continue-on-failure",
                 ),
                 *("--generation-deterministic", "--request-timeout", "60", "--warnings", "off"),
                 *("--report", "ndjson", "--report-ndjson-path", report),
+                *shown,
             ]
             ended = subprocess.run(command, cwd=scratch, check=False)
             told = statuses(report)
@@ -69,7 +87,7 @@ def main() -> int:
         stop_service(process)
     cases = told.total()
     print(f"{cases} answers: {dict(sorted(told.items()))}")
-    return 0 if ended.returncode == 0 and alive and cases >= LEAST_CASES and not told[500] else 1
+    return ended.returncode == 0 and alive and cases >= LEAST_CASES and not told[500]
 
 
 if __name__ == "__main__":

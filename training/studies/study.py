@@ -89,11 +89,11 @@ def measured(study: str, subject: Subject, row: Row, made: Forecasts) -> tuple[l
 
 
 def _known(results: Results, study: str, subject: Subject, row: Row, scenes: int) -> bool:
-    """Whether a row has been measured with its budget, and on as many scenes if on all."""
+    """Whether a row has been measured with its budget, and on at least as many scenes if on all."""
     wanted = (study, subject.scenario, subject.objects, subject.condition, row.method)
     return any(
         (cell.study, cell.scenario, cell.objects, cell.condition, cell.method) == wanted
         and cell.training_sequences == row.sequences
-        and (cell.test_sequences == scenes or subject.condition != "")
+        and (cell.test_sequences >= scenes or subject.condition != "")
         for cell in results.cells
     )
