@@ -259,13 +259,14 @@ def curve_of(
 
 
 def disagreements(ours: Results, stored: Results) -> list[str]:
-    """Describe every cell of ``ours`` that chance cannot explain beside the stored one.
+    """Describe every cell of the models' table that chance cannot explain beside the stored one.
 
     Both were measured on scenes of the same split, so they may differ by four standard errors of
     the smaller sample.
     """
     known: Mapping[tuple[str, int, str, str], Cell] = {
-        (cell.scenario, cell.objects, cell.method, cell.at): cell for cell in stored.cells
+        (cell.scenario, cell.objects, cell.method, cell.at): cell
+        for cell in stored.of(MODELS).cells
     }
     found: list[str] = []
     for cell in ours.cells:
