@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from rollcast.client import Client
-from rollcast.commands import doctor, models, predict, serve, simulate
+from rollcast.commands import doctor, models, predict, serve, simulate, track
 from rollcast.commands.options import CommandError, Connect, Outcome
 from rollcast.errors import RollcastError, UnreachableError
 
@@ -21,7 +21,7 @@ NAME = "rollcast"
 HELP = """\
 Forecasts where rolling balls go.
 
-All commands but serve ask a running service (rollcast serve, or make serve).
+All commands but serve and track ask a running service (rollcast serve, or make serve).
 
 \b
 A first try:
@@ -62,7 +62,7 @@ def _with_key(
         context.obj = partial(context.obj, api_key=api_key)
 
 
-for module in (serve, predict, simulate, models, doctor):
+for module in (serve, predict, simulate, track, models, doctor):
     name = module.__name__.rpartition(".")[2]
     app.command(name, help=module.HELP)(getattr(module, name))
 

@@ -143,6 +143,19 @@ def frames_at(
         return from_moments(shown, crop)
 
 
+def every_frame(path: Path | str) -> Iterator[Moment]:
+    """Read all frames of a video, whole, as the camera took them.
+
+    Raises
+    ------
+    FootageError
+        When the file cannot be read as a video.
+    """
+    with _opened(path) as container:
+        for shown in _moments_from(container, path, 0.0):
+            yield Moment(_pixels(shown), shown.time_s)
+
+
 @contextmanager
 def _opened(path: Path | str) -> Generator[InputContainer]:
     """Open a file, never an address or a pattern of names, and translate what goes wrong."""

@@ -3,7 +3,7 @@
 import argparse
 import importlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -12,6 +12,7 @@ from rollcast.manifest import MANIFEST_FILE, Manifest
 from rollcast.scene import SCENARIOS
 from training import calibration, campaign
 from training.artefact import initial_networks, load_exported
+from training.clips import Clips, rig_clips
 from training.dissect import dissected, dissection_table
 from training.evaluate import evaluation_sets, markdown_table, metric_rows, run
 from training.export import export_run, with_covariance
@@ -26,10 +27,12 @@ from training.quantise import NotWorthItError, quantise
 from training.recipes import RECIPES
 from training.report import with_results
 from training.results import committed
+from training.rig_report import BASELINES, Rig, markdown, measure
 from training.settings import runs_folder
 from training.simulate import Source, data_folder, in_processes, make_missing, split_shards
+from training.splits import Split
 from training.studies import STUDIES
-from training.trainer import Pace, Trainer
+from training.trainer import BEST, Pace, Trainer
 
 MODELS = Path("models")
 README = Path("README.md")
@@ -91,6 +94,19 @@ def _parser() -> argparse.ArgumentParser:
         "one's encoder wins",
     )
     train.add_argument(
+        "--data",
+        type=Path,
+        metavar="FOLDER",
+        help="clips with tracks (rollcast track) for the recipes rig-...: your own set-up",
+    )
+    train.add_argument(
+        "--balls",
+        type=int,
+        nargs="+",
+        metavar="BALL",
+        help="of the clips' balls, those to forecast (default: all, for rig-one-ball the first)",
+    )
+    train.add_argument(
         "--imagenet",
         type=Path,
         metavar="FILE",
@@ -100,6 +116,17 @@ def _parser() -> argparse.ArgumentParser:
     _add_ray(train, "train in several processes that share every batch")
     train.add_argument("--processes", type=int, default=2, help="how many (with --ray)")
     train.set_defaults(run=_train)
+
+    rig = commands.add_parser(
+        "rig", help="measure networks trained on clips, and the baselines, on the test clips"
+    )
+    rig.add_argument("recipe", choices=[name for name in RECIPES if name.startswith("rig-")])
+    rig.add_argument("--data", type=Path, required=True, metavar="FOLDER", help="clips with tracks")
+    rig.add_argument("--balls", type=int, nargs="+", metavar="BALL", help="as they were trained")
+    rig.add_argument(
+        "--baselines", nargs="*", choices=BASELINES, default=list(BASELINES), help="default: all"
+    )
+    rig.set_defaults(run=_rig)
 
     curve = commands.add_parser("curve", help="draw the loss and the validation errors of a run")
     curve.add_argument("recipe", choices=sorted(RECIPES))
@@ -234,7 +261,8 @@ def _train(arguments: argparse.Namespace) -> None:
     initial = [one for start in arguments.init for one in initial_networks(start)]
     pace = Pace(arguments.validate_every, simulators=arguments.workers)
     imagenet = arguments.imagenet and arguments.imagenet.resolve()
-    run = partial(_run_training, arguments.recipe, folder, pace, initial, imagenet)
+    clips = rig_clips(RECIPES[arguments.recipe](), arguments.data, arguments.balls)
+    run = partial(_run_training, arguments.recipe, folder, pace, initial, imagenet, clips)
     if arguments.ray is None:
         error = run()
     else:
@@ -243,16 +271,34 @@ def _train(arguments: argparse.Namespace) -> None:
 
 
 def _run_training(
-    name: str, folder: Path, pace: Pace, initial: Sequence[Initial], imagenet: Path | None
+    name: str,
+    folder: Path,
+    pace: Pace,
+    initial: Sequence[Initial],
+    imagenet: Path | None,
+    clips: Mapping[Split, Clips] | None,
 ) -> float:
     recipe = RECIPES[name]()
-    trainer = Trainer(recipe, folder, pace, initial)
+    trainer = Trainer(recipe, folder, pace, initial, clips)
     if imagenet is not None:
         network = next(iter(trainer.family.networks().values()))
         if not (isinstance(network, Predictor) and isinstance(network.encoder, VggEncoder)):
             raise SystemExit(f"--imagenet is for the paper's preset; {name} has another")
         print(f"{load_imagenet(network.encoder, imagenet)} convolutions from ImageNet")
     return trainer.run()
+
+
+def _rig(arguments: argparse.Namespace) -> None:
+    recipe = RECIPES[arguments.recipe]()
+    if not arguments.data.is_dir():
+        print(f"skipped: there are no clips at {arguments.data}")
+        return
+    clips = rig_clips(recipe, arguments.data, arguments.balls)
+    assert clips is not None
+    rig = Rig(clips)
+    there = (runs_folder() / recipe.name / BEST).exists()
+    rows = list(measure(rig, arguments.baselines, [recipe] if there else []))
+    print(markdown(rows, len(rig.places["test"])))
 
 
 def _curve(arguments: argparse.Namespace) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -40,6 +41,9 @@ from training.models.sighted import AttendedTransition
 from training.recipes.recipe import Recipe
 from training.storage import round_weights
 from training.trainer import BEST
+
+Shown = TypeVar("Shown", bound=str)
+"""What forecasts show: scenarios, or footage."""
 
 TOLERANCE: Mapping[OutputName, float] = {
     "positions": 1e-2,
@@ -269,7 +273,7 @@ def measure_parity(
     )
 
 
-def fit_covariance(forecasts: Mapping[Scenario, Forecasts]) -> CovarianceSource:
+def fit_covariance(forecasts: Mapping[Shown, Forecasts]) -> CovarianceSource:
     """Fit what the manifest says of uncertainty, on validation forecasts up to T_gen.
 
     A network that predicts covariances gets a variance scale at every step: the largest of those
@@ -301,8 +305,8 @@ def fit_covariance(forecasts: Mapping[Scenario, Forecasts]) -> CovarianceSource:
 
 
 def with_covariance(
-    forecasts: Mapping[Scenario, Forecasts], covariance: CovarianceSource
-) -> Mapping[Scenario, Forecasts]:
+    forecasts: Mapping[Shown, Forecasts], covariance: CovarianceSource
+) -> Mapping[Shown, Forecasts]:
     """Forecasts with the covariances that the service will answer with."""
     return {
         scenario: replace(made, covariances=_served_covariances(made, covariance))

@@ -150,7 +150,8 @@ class DoubtLoss:
 class ReadingLoss:
     """What an eye read of the frames against the truth: pixels, weighed by what forecasts need.
 
-    Closer looks weigh more than the first, velocities most: their errors grow with every step.
+    Closer looks weigh more than the first, velocities most: their errors grow with every step. What
+    is NaN in the truth is not known, and costs nothing: of footage there are only places.
     """
 
     looks = (0.3, 0.5, 1.5)
@@ -166,16 +167,15 @@ class ReadingLoss:
         centres, ground, measures = scenery
         seen, now = centres[:, :, :OBSERVED_FRAMES, :2], centres[:, :, OBSERVED_FRAMES - 1]
         before = centres[:, :, OBSERVED_FRAMES - 2]
-        off = reading.centres - now
+        off = _unlike(reading.centres, now)
         loss = self._pixels(off[..., :2]) + self.height * PIXEL_UNIT * off[..., 2].abs().mean()
         for weight, positions in zip(self.looks, reading.seen_positions, strict=True):
             loss = loss + weight * self._pixels(positions - seen)
-        loss = loss + self.velocity * self._pixels(reading.velocities - (now - before))
-        known = ~ground.isnan()
-        unlike = torch.where(known, reading.ground - ground.nan_to_num(), 0.0).abs()
+        loss = loss + self.velocity * self._pixels(_unlike(reading.velocities, now - before))
+        unlike = _unlike(reading.ground, ground).abs()
         loss = loss + self.ground * unlike.sum(dim=1).mean()
         loss = loss + self.way * self._along_the_way(reading.ground, ground, centres)
-        return loss + self.measures * (reading.measures - measures).abs().mean()
+        return loss + self.measures * _unlike(reading.measures, measures).abs().mean()
 
     def _along_the_way(self, read: Tensor, ground: Tensor, centres: Tensor) -> Tensor:
         """Mean error of the ground where the balls will be: more than elsewhere depends on it."""
@@ -214,6 +214,11 @@ def final_loss(forecast: Observation, final_positions_BN2: Tensor) -> Tensor:
     """Mean distance in pixels between what h_0 says of the final frame and the truth."""
     assert forecast.final_positions is not None
     return smooth_distance(forecast.final_positions - final_positions_BN2, 0.5).mean()
+
+
+def _unlike(read: Tensor, truth: Tensor) -> Tensor:
+    """Difference, zero where the truth is not known."""
+    return torch.where(truth.isnan(), 0.0, read - truth.nan_to_num())
 
 
 def smooth_distance(difference: Tensor, rounding: float) -> Tensor:

@@ -3,7 +3,7 @@
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from training import crew
+from training.clips import Clips, ClipStream
 from training.dataset import Batch, TrainingStream, Window, compared_horizon, fixed_windows
 from training.initial import Initial, load_fitting
 from training.metrics import forecast
@@ -23,6 +24,7 @@ from training.objective import Objective
 from training.readings import read_windows, rehearsed, save_whole
 from training.recipes.recipe import Recipe, longest_rollout
 from training.simulate import Source, load_recordings, simulate_split
+from training.splits import Split
 from training.survey import survey
 
 CHECKPOINT = "checkpoint.pt"
@@ -33,6 +35,8 @@ LOSS = "training/loss"
 """Tag of the events; all others tell errors in px."""
 READ_TOGETHER = 32
 """Windows that are read at once to be rehearsed."""
+VALIDATION_STRIDE = 5
+"""Frames between the validation windows of a clip."""
 USUAL_GRADIENT_MEMORY = 0.99
 SHARED_WARM_UP = 0.02
 """Share of the budget over which the shared parameters' rate rises after the heads' time alone."""
@@ -60,6 +64,8 @@ class Trainer:
     initial
         What to start from: each network by its name, all of them where no name fits. What the
         networks share comes from the first; parameters that none has stay untrained.
+    clips
+        Footage to train on and validate with; None for simulated scenes.
     """
 
     def __init__(
@@ -68,11 +74,13 @@ class Trainer:
         folder: Path,
         pace: Pace | None = None,
         initial: Sequence[Initial] = (),
+        clips: Mapping[Split, Clips] | None = None,
     ) -> None:
         torch.manual_seed(recipe.seed)
         self.recipe = recipe
         self.folder = folder
         self._pace = pace or Pace()
+        self._clips = clips
         self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         self.family = recipe.build()
         for trained in reversed(initial):
@@ -145,7 +153,7 @@ class Trainer:
             while self.batches < total and not self._schedule.finished:
                 self._step(next(stream), self.batches / total)
             return math.inf
-        windows = validation_windows(recipe, self._pace.simulators)
+        windows = self._validation_windows()
         events = SummaryWriter(str(self.folder / EVENTS), purge_step=self.sequences)
         progress = tqdm(total=total, initial=self.batches, unit="batch", desc=recipe.name)
         while self.batches < total and not self._schedule.finished:
@@ -194,23 +202,35 @@ class Trainer:
         See :class:`TrainingStream`.
         """
         recipe, simulators = self.recipe, self._pace.simulators
-        shards = [
-            simulate_split(part.source, "training", part.scenes, simulators) for part in recipe.data
-        ]
-        stream = TrainingStream(
-            [load_recordings(of_source) for of_source in shards],
-            [part.share for part in recipe.data],
-            [part.latest_start for part in recipe.data],
-            recipe.task.final_step,
-            batch_size,
-            recipe.seed,
-            first_batch=first_batch,
-            surveys=[survey(of_source, simulators) for of_source in shards],
-            practice=practice,
-            seen=seen,
-            scenery=recipe.explicit is not None,
-            share=share or crew.share(),
-        )
+        if self._clips is not None:
+            stream = ClipStream(
+                self._clips["training"],
+                recipe.trained_horizon,
+                batch_size,
+                recipe.seed,
+                first_batch,
+                scenery=recipe.explicit is not None,
+                share=share or crew.share(),
+            )
+        else:
+            shards = [
+                simulate_split(part.source, "training", part.scenes, simulators)
+                for part in recipe.data
+            ]
+            stream = TrainingStream(
+                [load_recordings(of_source) for of_source in shards],
+                [part.share for part in recipe.data],
+                [part.latest_start for part in recipe.data],
+                recipe.task.final_step,
+                batch_size,
+                recipe.seed,
+                first_batch=first_batch,
+                surveys=[survey(of_source, simulators) for of_source in shards],
+                practice=practice,
+                seen=seen,
+                scenery=recipe.explicit is not None,
+                share=share or crew.share(),
+            )
         loader = DataLoader(
             stream,
             batch_size=None,
@@ -257,7 +277,15 @@ class Trainer:
         memory = min(USUAL_GRADIENT_MEMORY, self.batches / (self.batches + 1))
         self._usual_gradient = usual**memory * norm ** (1 - memory)
 
-    def _validate(self, windows: dict[Source, list[Window]], events: SummaryWriter) -> None:
+    def _validation_windows(self) -> dict[str, list[Window]]:
+        """Windows of the validation split by what they show."""
+        if self._clips is None:
+            return validation_windows(self.recipe, self._pace.simulators)
+        clips, horizon = self._clips["validation"], self.recipe.trained_horizon
+        places = clips.places(horizon, every=VALIDATION_STRIDE)
+        return {"footage": [clips.window(place, horizon) for place in places]}
+
+    def _validate(self, windows: dict[str, list[Window]], events: SummaryWriter) -> None:
         """Measure the averaged weights and keep them when their mean error is the best."""
         horizon = self.recipe.trained_horizon
         compared = min(compared_horizon(self.recipe.task.objects), horizon)
@@ -268,7 +296,7 @@ class Trainer:
                 by_step = forecasts.errors_px().mean(axis=(0, 1))
                 errors.append(float(by_step[compared - 1]))
                 for step in sorted({1, horizon // 2, horizon}):
-                    tag = f"{name}/{source.name}/T={step}"
+                    tag = f"{name}/{source}/T={step}"
                     events.add_scalar(tag, by_step[step - 1], self.sequences)
         error = sum(errors) / len(errors)
         events.add_scalar(f"validation/T={compared}", error, self.sequences)
@@ -330,11 +358,11 @@ def _give_way(worker: int) -> None:  # noqa: ARG001 - the loader passes its numb
     os.nice(10)
 
 
-def validation_windows(recipe: Recipe, simulators: int) -> dict[Source, list[Window]]:
+def validation_windows(recipe: Recipe, simulators: int) -> dict[str, list[Window]]:
     """Windows of the validation split, for every scenario at the usual radius."""
     sources = [Source(scenario, recipe.task.objects) for scenario in recipe.scenarios]
     return {
-        source: fixed_windows(
+        source.name: fixed_windows(
             load_recordings(
                 simulate_split(source, "validation", recipe.validation_scenes, simulators)
             ),

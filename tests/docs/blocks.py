@@ -15,6 +15,7 @@ INDEX = "needs the package index"
 SERVER = "is the server that the other blocks ask"
 DOCKER = "needs a Docker engine; make image-test builds and runs the images"
 CLUSTER = "needs a cluster; make image-test judges the manifests, make cluster-test runs Ray"
+TRACKS = "tracks three clips for minutes; tests/rollcast/tracking does so with small ones"
 HOURS = "works for minutes to days; its arguments are parsed"
 MAKES = "makes environments, then runs for minutes"
 
@@ -33,6 +34,8 @@ NOT_RUN = {
         "python -m training evaluate --all        # docs/results: tables, curves, ellipses",
     ): HOURS,
     ("research.md", "python -m training train field-one-ball"): HOURS,
+    ("rig.md", "rollcast track clip1.mp4 clip2.mp4 clip3.mp4 --balls 2 --out rig"): TRACKS,
+    ("rig.md", "python -m training train rig-2-balls --data rig --init models/fieldnet-2/1"): HOURS,
 }
 """By page and first line. Nothing else is left out."""
 

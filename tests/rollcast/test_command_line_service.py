@@ -262,7 +262,7 @@ Usage: rollcast [OPTIONS] COMMAND [ARGS]...
 
   Forecasts where rolling balls go.
 
-  All commands but serve ask a running service (rollcast serve, or make serve).
+  All commands but serve and track ask a running service (rollcast serve, or make serve).
 
   A first try:
     rollcast serve &
@@ -285,6 +285,7 @@ Commands:
   serve     Serve the models of this checkout until stopped.
   predict   Forecast the ball of a video or of images.
   simulate  Simulate a scene: its frames and the true path.
+  track     Track the balls of clips that a camera took from above.
   models    List the models of a service, refused ones with the reason.
   doctor    Check Python, packages and the service, up to a forecast of a simulated ball.
 """)

@@ -304,8 +304,18 @@ def test_going_on_begins_with_the_eye_alone():
 def test_what_the_preset_cannot_make_is_refused():
     with pytest.raises(ValueError, match="fieldnet alone"):
         field_family({"one": "posnet"}, Task())
-    with pytest.raises(ValueError, match="cannot be left out"):
-        field_family({"one": "fieldnet"}, Task(angular_velocity=False))
+
+
+def test_without_angular_velocities_it_forecasts_the_same_places():
+    telling, silent = field_net(1), field_family({"it": "fieldnet"}, Task(angular_velocity=False))
+    network = silent.networks()["it"]
+    network.load_state_dict(telling.state_dict())
+    frames = torch.randint(0, 256, (1, 4, 128, 128, 3), dtype=torch.uint8)
+    with torch.inference_mode():
+        told, untold = telling(frames, 3), network(frames, 3)
+    assert untold.angular_velocities is None
+    assert torch.equal(told.positions, untold.positions)
+    assert torch.equal(told.covariances, untold.covariances)
 
 
 def test_a_third_ball_is_looked_for_as_the_first_is():

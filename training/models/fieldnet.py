@@ -249,18 +249,14 @@ class FieldNet(EyedNetwork):
     """Eye x rolling: s_t is the map of the ground, which stays, and p_t the balls' states.
 
     With a final frame, p_t also carries each ball's course, and what is observed is bent to it.
-
-    Raises
-    ------
-    ValueError
-        Without angular velocities, which are a part of the state.
+    Without angular velocities the state has them still, as numbers that nobody taught and that are
+    not observed: footage does not tell them.
     """
 
     def __init__(self, task: Task) -> None:
         super().__init__()
-        if not task.angular_velocity:
-            raise ValueError("fieldnet's state has angular velocities: they cannot be left out")
         self.final_step = task.final_step
+        self.tells_spin = task.angular_velocity
         self.eye = Eye(task.objects)
         self.rolling = Rolling(Encounters() if task.meetings else None)
         self.bend = None if task.final_step is None else Bend()
@@ -314,7 +310,8 @@ class FieldNet(EyedNetwork):
         if course is not None and self.bend is not None:
             ball = self.bend(ball, state.s, course)
         positions, covariances = self.output(torch.cat([ball.centre[..., :2], ball.doubt], dim=-1))
-        return Observation(positions, covariances, ANGULAR_VELOCITY_UNIT * ball.spin)
+        spins = ANGULAR_VELOCITY_UNIT * ball.spin if self.tells_spin else None
+        return Observation(positions, covariances, spins)
 
     def observe_first(self, state: State) -> Observation:
         """Observation of h_0, with the final position where a frame shows it."""

@@ -21,6 +21,7 @@ from training.recipes.field import (
 )
 from training.recipes.paper import paper_posnet
 from training.recipes.recipe import Recipe
+from training.recipes.rig import rig
 from training.recipes.sighted import (
     sighted_one_ball,
     sighted_one_ball_between,
@@ -52,4 +53,8 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "sighted-2-balls-between": partial(sighted_several_balls_between, 2),
     "sighted-3-balls-between": partial(sighted_several_balls_between, 3),
     "paper-posnet": paper_posnet,
+    "rig-one-ball": partial(rig, 1),
+    "rig-2-balls": partial(rig, 2),
+    "rig-3-balls": partial(rig, 3),
+    "rig-4-balls": partial(rig, 4),
 }

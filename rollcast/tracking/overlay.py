@@ -1,0 +1,47 @@
+"""Tracks drawn over their footage."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from rollcast.plot import PALETTE
+from rollcast.tracking.tracks import Tracks
+from rollcast.video import every_frame
+
+TAIL = 15
+"""Frames of a ball's way behind it."""
+
+
+def overlaid(path: Path, tracks: Tracks) -> Iterator[Image.Image]:
+    """Yield every picture of a clip with its balls' numbers, outlines and ways.
+
+    A ball that is not found is named in the corner, and drawn nowhere.
+    """
+    for index, moment in enumerate(every_frame(path)):
+        yield draw_tracks(moment.picture, tracks, index)
+
+
+def draw_tracks(picture: np.ndarray, tracks: Tracks, index: int) -> Image.Image:
+    """Draw the balls of a frame over its picture, whose sides are made even for films."""
+    height, width = picture.shape[:2]
+    image = Image.fromarray(np.ascontiguousarray(picture[: height // 2 * 2, : width // 2 * 2]))
+    drawing = ImageDraw.Draw(image)
+    missing: list[str] = []
+    for ball in range(tracks.balls):
+        colour = PALETTE[ball % len(PALETTE)]
+        x, y = tracks.positions_px[index, ball]
+        if np.isnan(x):
+            missing.append(str(ball))
+            continue
+        radius = tracks.radii_px[index, ball] + 1
+        drawing.ellipse((x - radius, y - radius, x + radius, y + radius), outline=colour, width=2)
+        drawing.text(
+            (x + radius, y - radius), str(ball), fill=colour, stroke_width=2, stroke_fill="black"
+        )
+        tail = tracks.positions_px[max(0, index - TAIL) : index + 1, ball]
+        drawing.line([tuple(place) for place in tail[~np.isnan(tail[:, 0])]], colour, 1)
+    note = f"frame {index}" + (f", not found: {', '.join(missing)}" if missing else "")
+    drawing.text((4, 4), note, fill="white", stroke_width=2, stroke_fill="black")
+    return image

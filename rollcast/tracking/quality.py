@@ -1,0 +1,156 @@
+"""What to doubt of tracks: how much was found, where not, and who may have been mistaken."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel
+
+from rollcast.tracking.tracks import Tracks
+
+NEAR = 2.6
+"""Radii between the centres of balls that may be mistaken for each other."""
+JUMP = 3.0
+"""Radii by which a ball is farther than it was going, for it to have jumped."""
+
+
+class Gap(BaseModel):
+    """Frames in which a ball was not found, from ``first`` to ``last``."""
+
+    ball: int
+    first: int
+    last: int
+    seconds: float
+    reason: Literal["not seen", "touched by something large"]
+
+
+class Encounter(BaseModel):
+    """Two balls that were close, after which they may have been mistaken for each other."""
+
+    balls: tuple[int, int]
+    first: int
+    last: int
+    evidence: float
+    """By which their colours speak for what was decided, nats; little or negative is doubtful."""
+
+
+class Jump(BaseModel):
+    """A ball that is suddenly elsewhere: a hard impact, or a mistake."""
+
+    ball: int
+    frame: int
+    radii: float
+
+
+class BallQuality(BaseModel):
+    """How well a ball was found."""
+
+    ball: int
+    colour: str
+    found: float
+    """Share of the frames."""
+    radius_px: float
+    gaps: int
+    longest_gap_s: float
+
+
+class Quality(BaseModel):
+    """Report on the tracks of a clip."""
+
+    clip: str
+    frames: int
+    seconds: float
+    frame_rate: float
+    found: float
+    """Share of all frames and balls."""
+    balls: list[BallQuality]
+    gaps: list[Gap]
+    suspected_swaps: list[Encounter]
+    jumps: list[Jump]
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """What only the search for the balls knows.
+
+    Attributes
+    ----------
+    touched
+        Whether a ball was in contact with something large, [frames, balls].
+    encounters
+        All of them.
+    """
+
+    touched: np.ndarray
+    encounters: list[Encounter]
+
+
+DOUBTFUL = 5.0
+"""Nats below which an encounter is a suspected swap."""
+
+
+def quality_of(tracks: Tracks, doubts: Doubts) -> Quality:
+    """Report on tracks."""
+    gaps = [
+        gap for ball in range(tracks.balls) for gap in _gaps(tracks, ball, doubts.touched[:, ball])
+    ]
+    of_balls: list[BallQuality] = []
+    for ball, colour in enumerate(tracks.colours):
+        own = [gap for gap in gaps if gap.ball == ball]
+        of_balls.append(
+            BallQuality(
+                ball=ball,
+                colour=colour,
+                found=float(tracks.found[:, ball].mean()),
+                radius_px=round(float(np.nanmedian(tracks.radii_px[:, ball])), 2),
+                gaps=len(own),
+                longest_gap_s=max((gap.seconds for gap in own), default=0.0),
+            )
+        )
+    seconds = float(tracks.times_s[-1] - tracks.times_s[0])
+    return Quality(
+        clip=tracks.clip,
+        frames=len(tracks.times_s),
+        seconds=round(seconds, 3),
+        frame_rate=round((len(tracks.times_s) - 1) / seconds, 3),
+        found=float(tracks.found.mean()),
+        balls=of_balls,
+        gaps=gaps,
+        suspected_swaps=[one for one in doubts.encounters if one.evidence < DOUBTFUL],
+        jumps=[jump for ball in range(tracks.balls) for jump in _jumps(tracks, ball)],
+    )
+
+
+def runs(wanted: np.ndarray) -> list[tuple[int, int]]:
+    """First and last index of every run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], wanted.astype(int), [0]])))
+    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
+
+
+def _gaps(tracks: Tracks, ball: int, touched: np.ndarray) -> list[Gap]:
+    spacing_s = float(np.median(np.diff(tracks.times_s)))
+    return [
+        Gap(
+            ball=ball,
+            first=first,
+            last=last,
+            seconds=round(float(tracks.times_s[last] - tracks.times_s[first]) + spacing_s, 3),
+            reason="touched by something large" if touched[first : last + 1].any() else "not seen",
+        )
+        for first, last in runs(~tracks.found[:, ball])
+    ]
+
+
+def _jumps(tracks: Tracks, ball: int) -> list[Jump]:
+    seen = np.flatnonzero(tracks.found[:, ball])
+    radius_px = float(np.nanmedian(tracks.radii_px[:, ball]))
+    jumps: list[Jump] = []
+    for before, last, now in zip(seen, seen[1:], seen[2:], strict=False):
+        there, went, came = tracks.positions_px[[before, last, now], ball]
+        span = (now - last) / (last - before)
+        radii = float(np.linalg.norm(came - went - span * (went - there))) / radius_px
+        # A ball that stops or bounces has a change of its own speed; a jump is more than that.
+        change = 2.2 * float(np.linalg.norm(span * (went - there))) / radius_px
+        if radii > JUMP + change:
+            jumps.append(Jump(ball=ball, frame=int(now), radii=round(radii, 2)))
+    return jumps

@@ -1,0 +1,228 @@
+# pyright: standard
+"""From a video to tracks."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from scipy.optimize import linear_sum_assignment
+
+from rollcast.errors import FootageError
+from rollcast.footage import SquareCrop
+from rollcast.tracking.background import background_of
+from rollcast.tracking.detection import BIN_WIDTHS, BINS, Detections, Detector, radius_of_balls
+from rollcast.tracking.identity import Identified, balls_in, identified, palette_evidence
+from rollcast.tracking.pieces import Piece, pieces_of
+from rollcast.tracking.quality import NEAR, Doubts, Encounter, Quality, quality_of, runs
+from rollcast.tracking.smoothing import smoothed
+from rollcast.tracking.tracks import Tracks
+from rollcast.video import every_frame
+
+MOST_BALLS = 4
+SAMPLES = 80
+"""Pictures, from all over a clip, that its background is made of."""
+FEWEST_FRAMES = 20
+SURE_SCORE = 0.85
+"""Of a detection that is nothing but a ball."""
+TOUCHING = 4.0
+"""Radii from where a ball was last, within which something large may have taken it."""
+MERGED = 5
+"""Frames between encounters of the same balls that count as one."""
+
+Palettes = Float[np.ndarray, "balls colours"]
+
+
+class Tracked(NamedTuple):
+    """What is known of a clip."""
+
+    tracks: Tracks
+    quality: Quality
+    palettes: Palettes
+    """Shares of each ball's pixels by colour, for the next clip of the same set-up."""
+
+
+def track(
+    path: Path,
+    *,
+    balls: int | None = None,
+    crop: SquareCrop | None = None,
+    like: Palettes | None = None,
+) -> Tracked:
+    """Track the balls of a video.
+
+    Parameters
+    ----------
+    balls
+        How many there are; None counts them.
+    crop
+        A square of the picture that all balls stay in; None looks everywhere.
+    like
+        Palettes of another clip of the same balls, whose order is kept; None orders them by hue.
+
+    Raises
+    ------
+    FootageError
+        When the file cannot be read, is too short, its camera moves or no balls move in it.
+    CropError
+        When the crop does not lie inside the picture.
+    """
+    times_s = np.array([moment.time_s for moment in every_frame(path)])
+    if len(times_s) < FEWEST_FRAMES:
+        raise FootageError(
+            f"{path} has {len(times_s)} frames, expected at least {FEWEST_FRAMES} to track balls in"
+        )
+    chosen = set(np.linspace(0, len(times_s) - 1, SAMPLES).astype(int).tolist())
+    samples = [picture for index, picture in enumerate(_pictures(path, crop)) if index in chosen]
+    background = background_of(samples)
+    detector = Detector(background, radius_of_balls(background, samples))
+    frames = [detector.detect(picture) for picture in _pictures(path, crop)]
+    pieces = pieces_of(frames, detector.radius_px)
+    if not 0 < len(pieces) < len(frames):
+        raise FootageError(
+            f"{path}: {len(pieces)} things like balls come and go in {len(frames)} frames, "
+            "expected fewer than frames and at least one; --crop leaves out what else moves"
+        )
+    count = balls or balls_in(pieces, len(frames), MOST_BALLS)
+    known = _ordered(identified(pieces, frames, count, detector.radius_px), like)
+    rows = _rows(pieces, known, len(frames), count)
+    height, width = next(every_frame(path)).picture.shape[:2]
+    corner = (0, 0) if crop is None else (crop.x, crop.y)
+    tracks = _tracks(path.stem, (width, height), corner, times_s, frames, rows, known)
+    doubts = Doubts(
+        _touched(tracks, frames),
+        list(_encounters(tracks, frames, rows, known.palettes)),
+    )
+    return Tracked(tracks, quality_of(tracks, doubts), known.palettes)
+
+
+def _pictures(path: Path, crop: SquareCrop | None) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+    for moment in every_frame(path):
+        yield moment.picture if crop is None else crop.cut(moment.picture)
+
+
+def _ordered(found: Identified, like: Palettes | None) -> Identified:
+    """Put balls into the order of another clip's, or of their hues."""
+    if like is None:
+        order = np.argsort([_hue(palette) for palette in found.palettes])
+    else:
+        alike = np.minimum(like[:, None], found.palettes).sum(axis=-1)
+        order = _best_order(alike)
+    place = {int(ball): index for index, ball in enumerate(order)}
+    return Identified(
+        [place.get(ball, -1) for ball in found.balls], found.palettes[order], found.value
+    )
+
+
+def _best_order(alike: Float[np.ndarray, "known balls"]) -> np.ndarray:
+    """For each known palette the ball that is most like it; balls beyond come last."""
+    _, order = linear_sum_assignment(-alike)
+    rest = [ball for ball in range(alike.shape[1]) if ball not in order]
+    return np.array([*order, *rest], int)
+
+
+def _mean_lab(palette: Float[np.ndarray, " colours"]) -> Float[np.ndarray, "3"]:
+    centres = [(np.arange(n) + 0.5) * w for n, w in zip(BINS, BIN_WIDTHS, strict=True)]
+    grid = np.stack(np.meshgrid(*centres, indexing="ij"), axis=-1).reshape(-1, 3)
+    return palette @ grid
+
+
+def _hue(palette: Float[np.ndarray, " colours"]) -> float:
+    """Angle in the plane of CIE Lab's colour axes, from pink over red, yellow and green to blue."""
+    _, a, b = _mean_lab(palette) - 128
+    return float(np.arctan2(b, a) % (2 * np.pi))
+
+
+def _rows(pieces: Sequence[Piece], known: Identified, frames: int, balls: int) -> np.ndarray:
+    """Index of each ball's detection in each frame, [frames, balls]; -1 in gaps."""
+    rows = np.full((frames, balls), -1)
+    for piece, ball in zip(pieces, known.balls, strict=True):
+        if ball >= 0:
+            rows[piece.first : piece.last + 1, ball] = piece.rows
+    return rows
+
+
+def _tracks(
+    name: str,
+    size: tuple[int, int],
+    corner: tuple[int, int],
+    times_s: Float[np.ndarray, " frames"],
+    frames: Sequence[Detections],
+    rows: np.ndarray,
+    known: Identified,
+) -> Tracks:
+    shape = rows.shape
+    positions, radii = np.full((*shape, 2), np.nan), np.full(shape, np.nan)
+    confidences = np.zeros(shape)
+    for ball in range(shape[1]):
+        seen = np.flatnonzero(rows[:, ball] >= 0)
+        if not len(seen):
+            raise FootageError(
+                f"{name}: ball {ball + 1} of {shape[1]} was found in no frame; name how many there "
+                "are with --balls"
+            )
+        found = [(frames[i], rows[i, ball]) for i in seen.tolist()]
+        measured = np.stack([frame.positions_px[row] for frame, row in found])
+        positions[seen, ball] = smoothed(times_s[seen], measured) + corner
+        radii[seen, ball] = float(np.median([frame.radii_px[row] for frame, row in found]))
+        scores = np.array([frame.scores[row] for frame, row in found])
+        confidences[seen, ball] = np.clip(scores / SURE_SCORE, 0, 1)
+    colours = tuple(_hex(palette) for palette in known.palettes)
+    return Tracks(name, *size, colours, times_s, positions, radii, confidences)
+
+
+def _touched(tracks: Tracks, frames: Sequence[Detections]) -> np.ndarray:
+    """Whether something large is where a ball that is not found was last, [frames, balls]."""
+    touched = np.zeros(tracks.found.shape, bool)
+    last_px = tracks.positions_px[0]
+    for index, found in enumerate(tracks.found):
+        last_px = np.where(found[:, None], tracks.positions_px[index], last_px)
+        near_px = TOUCHING * np.nanmedian(tracks.radii_px, axis=0)
+        for place in frames[index].touched_px:
+            apart = np.linalg.norm(last_px - place, axis=1)
+            touched[index] |= ~found & (apart < near_px)
+    return touched
+
+
+def _hex(palette: Float[np.ndarray, " colours"]) -> str:
+    lab = _mean_lab(palette).clip(0, 255).astype(np.uint8).reshape(1, 1, 3)
+    red, green, blue = cv2.cvtColor(lab, cv2.COLOR_Lab2RGB)[0, 0]
+    return f"#{red:02x}{green:02x}{blue:02x}"
+
+
+def _encounters(
+    tracks: Tracks, frames: Sequence[Detections], rows: np.ndarray, palettes: Palettes
+) -> Iterable[Encounter]:
+    """Yield the times at which two balls were close, and what their colours say afterwards."""
+    for one, other in combinations(range(tracks.balls), 2):
+        apart = np.linalg.norm(tracks.positions_px[:, one] - tracks.positions_px[:, other], axis=-1)
+        near = NEAR * float(np.nanmedian(tracks.radii_px[:, [one, other]]))
+        together = _merged(runs(apart < near))
+        ends = [first for first, _ in together[1:]] + [len(frames)]
+        for (first, last), end in zip(together, ends, strict=False):
+            after = [i for i in range(last + 1, end) if (rows[i, [one, other]] >= 0).all()]
+            if not after:
+                continue
+            seen = [
+                palette_evidence(
+                    np.stack([frames[i].colours[rows[i, ball]] for i in after]), palettes
+                )
+                for ball in (one, other)
+            ]
+            kept = seen[0][:, one] + seen[1][:, other]
+            swapped = seen[0][:, other] + seen[1][:, one]
+            evidence = round(float((kept - swapped).sum()), 2)
+            yield Encounter(balls=(one, other), first=first, last=last, evidence=evidence)
+
+
+def _merged(times: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    merged: list[tuple[int, int]] = []
+    for first, last in times:
+        if merged and first - merged[-1][1] <= MERGED:
+            merged[-1] = (merged[-1][0], last)
+        else:
+            merged.append((first, last))
+    return merged

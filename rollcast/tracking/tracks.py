@@ -1,0 +1,124 @@
+# pyright: standard
+"""Tracks as a table: one row a frame and ball, in a Parquet file."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float
+from pyarrow import parquet
+
+from rollcast.errors import FootageError
+
+ABOUT = b"rollcast"
+"""Key of the file's metadata that holds what is true of the whole clip, as JSON."""
+COLUMNS = pa.schema(
+    [
+        pa.field("clip", pa.string()),
+        pa.field("frame", pa.int64()),
+        pa.field("time", pa.float64()),
+        pa.field("ball", pa.int64()),
+        pa.field("x", pa.float64()),
+        pa.field("y", pa.float64()),
+        pa.field("radius", pa.float64()),
+        pa.field("confidence", pa.float64()),
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Where the balls of a clip are, frame by frame.
+
+    Attributes
+    ----------
+    clip
+        Name of the clip.
+    width, height
+        Of its pictures, pixels.
+    colours
+        Mean colour of each ball, as ``#rrggbb``; their order is that of the balls.
+    times_s
+        Seconds after the clip's first frame.
+    positions_px
+        Centres in pixels of the clip's pictures, (0, 0) their top-left corner (``camera.py``); NaN
+        in gaps.
+    radii_px
+        NaN in gaps.
+    confidences
+        0 to 1; 0 in gaps.
+    """
+
+    clip: str
+    width: int
+    height: int
+    colours: tuple[str, ...]
+    times_s: Float[np.ndarray, " frames"]
+    positions_px: Float[np.ndarray, "frames balls 2"]
+    radii_px: Float[np.ndarray, "frames balls"]
+    confidences: Float[np.ndarray, "frames balls"]
+
+    @property
+    def balls(self) -> int:
+        """How many there are."""
+        return len(self.colours)
+
+    @property
+    def found(self) -> np.ndarray:
+        """Whether each ball was found in each frame, [frames, balls]."""
+        return ~np.isnan(self.positions_px[..., 0])
+
+    def write(self, path: Path) -> None:
+        """Write a Parquet file: a row for every frame and ball, null and confidence 0 in gaps."""
+        frames, balls = self.confidences.shape
+        columns = [
+            [self.clip] * (frames * balls),
+            np.repeat(np.arange(frames), balls),
+            np.repeat(self.times_s, balls),
+            np.tile(np.arange(balls), frames),
+            *(self.positions_px[..., axis].ravel() for axis in (0, 1)),
+            self.radii_px.ravel(),
+            self.confidences.ravel(),
+        ]
+        about = {"width": self.width, "height": self.height, "colours": self.colours}
+        table = pa.Table.from_arrays(
+            [pa.array(c, f.type, from_pandas=True) for c, f in zip(columns, COLUMNS, strict=True)],
+            schema=COLUMNS.with_metadata({ABOUT: json.dumps(about).encode()}),
+        )
+        parquet.write_table(table, path)
+
+    @classmethod
+    def read(cls, path: Path) -> "Tracks":
+        """Read what :meth:`write` wrote.
+
+        Raises
+        ------
+        FootageError
+            When the file cannot be read or holds no such table.
+        """
+        try:
+            table = parquet.read_table(path)
+        except (OSError, pa.ArrowInvalid) as error:
+            raise FootageError(f"{path} cannot be read as tracks: {error}") from error
+        about = (table.schema.metadata or {}).get(ABOUT)
+        if about is None or not table.schema.equals(COLUMNS) or not table.num_rows:
+            raise FootageError(
+                f"{path} holds no tracks: its columns are {', '.join(table.column_names)}, "
+                f"expected {', '.join(COLUMNS.names)}, as `rollcast track` writes them"
+            )
+        told = json.loads(about)
+        balls = len(told["colours"])
+        values = {name: table[name].to_numpy() for name in COLUMNS.names[1:]}
+        shaped = {name: column.reshape(-1, balls) for name, column in values.items()}
+        return cls(
+            clip=table["clip"][0].as_py(),
+            width=told["width"],
+            height=told["height"],
+            colours=tuple(told["colours"]),
+            times_s=shaped["time"][:, 0].copy(),
+            positions_px=np.stack([shaped["x"], shaped["y"]], axis=-1),
+            radii_px=shaped["radius"].copy(),
+            confidences=shaped["confidence"].copy(),
+        )

@@ -1,0 +1,46 @@
+"""``rollcast track`` from a shell's point of view."""
+
+import json
+
+import pytest
+
+from rollcast.__main__ import main
+from rollcast.tracking.tracks import Tracks
+from rollcast.video import every_frame
+from tests.rollcast.tracking.billiards import billiards
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("clips")
+    return [billiards(2, 60, seed).film(folder / f"clip{seed}.mp4") for seed in (1, 2)]
+
+
+def test_clips_get_tracks_a_report_and_a_film_each(clips, tmp_path, capsys):
+    out = tmp_path / "new" / "tracks"
+    assert main(["track", *map(str, clips), "--balls", "2", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    for clip in clips:
+        tracks = Tracks.read(out / f"{clip.stem}.parquet")
+        assert (tracks.clip, tracks.balls) == (clip.stem, 2)
+        report = json.loads((out / f"{clip.stem}.json").read_text())
+        assert report["frames"] == 60
+        assert sum(1 for _ in every_frame(out / f"{clip.stem}.mp4")) == 60
+        assert f"{clip.stem}: 60 frames, 2.0 s, {100 * report['found']:.1f} %" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "reason"),
+    [
+        (["missing.mp4"], 1, "missing.mp4 cannot be read: No such file or directory"),
+        (["here/a.mp4", "there/a.mp4"], 1, "two clips are called a; name them apart"),
+        (["a.mp4", "--balls", "5"], 2, "5 is not a whole number from 1 to 4"),
+        (["a.mp4", "--crop", "1,2"], 2, "1,2 is not X,Y,SIZE"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(arguments, code, reason, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["track", *arguments]) == code
+    said = capsys.readouterr().err
+    assert reason in said
+    assert said.count("\n") == 1

@@ -1,0 +1,178 @@
+"""Tracks of made-up films beside the truth."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from rollcast.errors import CropError, FootageError
+from rollcast.film import write_film
+from rollcast.footage import SquareCrop
+from rollcast.tracking.overlay import draw_tracks
+from rollcast.tracking.track import Tracked, track
+from rollcast.tracking.tracks import Tracks
+from tests.rollcast.tracking.billiards import (
+    BALLS,
+    COLOURS,
+    FRAME_RATE,
+    HEIGHT,
+    RADIUS_PX,
+    WIDTH,
+    Billiards,
+    billiards,
+)
+
+FRAMES = 110
+
+
+@pytest.fixture(scope="module")
+def four(tmp_path_factory) -> tuple[Billiards, Tracked]:
+    made = billiards(BALLS, FRAMES, seed=3)
+    path = made.film(tmp_path_factory.mktemp("four") / "four.mp4")
+    return made, track(path)
+
+
+def distances(tracks: Tracks, truth: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(tracks.positions_px - truth, axis=-1)
+
+
+def test_the_balls_are_counted_and_ordered_by_hue(four):
+    tracks = four[1].tracks
+    assert tracks.balls == BALLS
+    found = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in tracks.colours])
+    expected = 0.875 * np.array(COLOURS)  # one half is darker
+    assert np.abs(found - expected).max() < 25
+
+
+def test_nearly_all_of_the_balls_are_found_where_they_are(four):
+    made, (tracks, _, _) = four
+    apart = distances(tracks, made.positions_px)
+    assert tracks.found.mean() > 0.98
+    assert np.nanmedian(apart) < 0.25
+    assert np.nanquantile(apart, 0.99) < 1.5
+
+
+def test_no_ball_is_taken_for_another_one(four):
+    made, (tracks, quality, _) = four
+    close = np.linalg.norm(made.positions_px[:, :, None] - made.positions_px[:, None], axis=-1)
+    assert ((close < 2.1 * RADIUS_PX).sum(axis=(1, 2)) > BALLS).any()  # some do touch
+    assert np.nanmax(distances(tracks, made.positions_px)) < RADIUS_PX
+    assert not quality.suspected_swaps
+
+
+def test_radius_time_and_report_fit(four):
+    tracks, quality, _ = four[1]
+    assert np.nanmedian(tracks.radii_px) == pytest.approx(
+        RADIUS_PX, abs=1.2
+    )  # with its blurred rim
+    assert np.diff(tracks.times_s) == pytest.approx(1 / FRAME_RATE, abs=1e-3)
+    assert quality.found == tracks.found.mean()
+    assert [ball.found for ball in quality.balls] == tracks.found.mean(axis=0).tolist()
+    missing = sum(gap.last - gap.first + 1 for gap in quality.gaps)
+    assert missing == (~tracks.found).sum()
+
+
+def test_balls_of_one_colour_are_told_apart_by_where_they_go(tmp_path):
+    made = billiards(2, FRAMES, seed=5, colours=[COLOURS[0], COLOURS[0]])
+    tracks = track(made.film(tmp_path / "alike.mp4"), balls=2).tracks
+    either = [distances(tracks, made.positions_px[:, order]) for order in ([0, 1], [1, 0])]
+    assert min(np.nanmax(one) for one in either) < RADIUS_PX
+
+
+def test_what_is_hidden_is_a_gap_and_the_ball_the_same_after_it(tmp_path):
+    made = billiards(2, FRAMES, seed=1)
+    tracks, quality, _ = track(made.film(tmp_path / "bar.mp4", bar=True), balls=2)
+    x = made.positions_px[..., 0]
+    hidden = (x > 110 + RADIUS_PX) & (x < 140 - RADIUS_PX)
+    assert hidden.any()
+    assert not tracks.found[hidden].any()
+    assert (tracks.confidences[hidden] == 0).all()
+    clear = (x < 110 - RADIUS_PX) | (x > 140 + RADIUS_PX)
+    assert tracks.found[clear].mean() > 0.97
+    assert np.nanmax(distances(tracks, made.positions_px)[clear]) < RADIUS_PX
+    assert quality.gaps
+    assert {gap.reason for gap in quality.gaps} == {"not seen"}
+
+
+def test_light_that_flickers_is_no_ball(tmp_path):
+    made = billiards(2, 90, seed=2)
+    tracks = track(made.film(tmp_path / "flicker.mp4", flicker=0.08)).tracks
+    assert tracks.balls == 2
+    assert tracks.found.mean() > 0.97
+    assert np.nanmax(distances(tracks, made.positions_px)) < RADIUS_PX / 2
+
+
+def test_a_ball_that_rests_for_most_of_the_clip_is_found_all_the_time(tmp_path):
+    made = billiards(2, 120, seed=4)
+    way = made.positions_px.copy()
+    way[:, 1] = (40.0, 90.0)
+    way[90:, 1] += np.arange(30)[:, None] * (4.0, 1.0)
+    way[:, 0, 0] = way[:, 0, 0].clip(150, None)  # out of its way
+    tracks = track(Billiards(way, made.colours).film(tmp_path / "rest.mp4"), balls=2).tracks
+    assert tracks.found.mean() > 0.97
+    assert np.nanmax(distances(tracks, way)) < RADIUS_PX
+
+
+def test_the_next_clip_keeps_the_order_of_the_balls(four, tmp_path):
+    palettes = four[1].palettes
+    made = billiards(BALLS, 90, seed=8)
+    tracks = track(made.film(tmp_path / "next.mp4"), balls=BALLS, like=palettes[::-1]).tracks
+    assert np.nanmax(distances(tracks, made.positions_px[:, ::-1])) < RADIUS_PX
+
+
+def test_in_a_crop_positions_are_those_of_the_whole_picture(tmp_path):
+    made = billiards(1, 90, seed=6)
+    way = made.positions_px * 0.4 + (100, 60)
+    path = Billiards(way, made.colours).film(tmp_path / "crop.mp4")
+    tracks = track(path, crop=SquareCrop(80, 20, 150)).tracks
+    assert (tracks.width, tracks.height) == (WIDTH, HEIGHT)
+    assert np.nanmax(distances(tracks, way)) < 1.5
+    with pytest.raises(CropError, match="the picture is 240 x 180"):
+        track(path, crop=SquareCrop(100, 0, 180))
+
+
+def test_a_table_of_tracks_is_read_as_it_was_written(four, tmp_path):
+    tracks = four[1].tracks
+    tracks.write(tmp_path / "four.parquet")
+    again = Tracks.read(tmp_path / "four.parquet")
+    assert again.clip == "four"
+    assert again.colours == tracks.colours
+    for name in ("times_s", "positions_px", "radii_px", "confidences"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(tracks, name))
+
+
+@pytest.mark.parametrize("content", [b"", b"not a table"])
+def test_what_is_no_table_of_tracks_is_refused(tmp_path, content):
+    (tmp_path / "bad.parquet").write_bytes(content)
+    with pytest.raises(FootageError, match=r"bad\.parquet cannot be read as tracks"):
+        Tracks.read(tmp_path / "bad.parquet")
+
+
+def test_the_overlay_shows_every_ball(four):
+    made, (tracks, _, _) = four
+    plain = made.picture(70)
+    drawn = np.asarray(draw_tracks(np.asarray(plain), tracks, 70)).astype(int)
+    changed = np.abs(drawn - np.asarray(plain)).sum(axis=-1) > 60
+    for u, v in made.positions_px[70].astype(int):
+        beside = changed[max(0, v - 12) : v + 12, max(0, u - 12) : u + 12]
+        assert beside.any()
+
+
+def test_a_camera_that_moves_is_told(tmp_path):
+    made = billiards(1, 60, seed=1)
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    checks = (((x // 20 + y // 20) % 2)[..., None] * 120).astype(np.uint8)
+    pictures = [
+        (np.asarray(made.picture(i)) // 2 + np.roll(checks, 3 * i, axis=1)) for i in range(60)
+    ]
+    write_film(tmp_path / "pan.mp4", map(Image.fromarray, pictures), FRAME_RATE)
+    with pytest.raises(FootageError, match="a camera that stands still"):
+        track(tmp_path / "pan.mp4")
+
+
+def test_a_film_without_balls_or_with_too_few_frames_is_told(tmp_path):
+    still = Billiards(np.tile([[[60.0, 60.0]]], (60, 1, 1)), COLOURS)
+    with pytest.raises(FootageError, match="round things move in 60 pictures"):
+        track(still.film(tmp_path / "still.mp4"))
+    short = billiards(1, 12, seed=1).film(tmp_path / "short.mp4")
+    with pytest.raises(FootageError, match="has 12 frames, expected at least 20"):
+        track(short)

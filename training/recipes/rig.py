@@ -1,0 +1,33 @@
+"""Networks for a user's own set-up, from clips with tracks: positions alone (paper, section 6)."""
+
+from training.losses import DistanceLoss, DoubtLoss, LikelihoodLoss, ReadingLoss, SpinLoss
+from training.models.task import Task
+from training.recipes.recipe import Explicit, Member, Milestone, Recipe
+
+LONGEST = 30
+"""T_gen of the paper's real footage; training reaches it, for its balls never end rolling."""
+
+
+def rig(objects: int) -> Recipe:
+    """FieldNet for balls that a camera saw, best from one that simulation taught (``--init``).
+
+    Tracks tell neither heights nor ground nor spin: these stay numbers that forecasts are good
+    with. The eye learns first, then both.
+    """
+    name = f"rig-{objects}"
+    likelihood = LikelihoodLoss(halving=15, regulariser=0.0, outlier=5.0)
+    loss = DoubtLoss(DistanceLoss(halving=15, rounding=0.1), likelihood, weight=0.2)
+    horizons = (Milestone(0, 1), Milestone(0.15, 2), Milestone(0.5, 15), Milestone(0.8, LONGEST))
+    return Recipe(
+        name=f"rig-{objects}-balls" if objects > 1 else "rig-one-ball",
+        preset="field",
+        members=(Member(name, "fieldnet", loss),),
+        spin_loss=SpinLoss(),  # nothing, for nothing is said of spin
+        data=(),
+        scenarios=(),
+        task=Task(objects, angular_velocity=False),
+        sequences=32_000,
+        curriculum=horizons,
+        explicit=Explicit(ReadingLoss(), None, practice=0, curriculum=horizons),
+        learning_rate=1e-3,
+    )
