@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from types import ModuleType
 
+from rollcast.errors import FootageError
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from rollcast.scene import SCENARIOS
 from training import calibration, campaign
@@ -261,7 +262,7 @@ def _train(arguments: argparse.Namespace) -> None:
     initial = [one for start in arguments.init for one in initial_networks(start)]
     pace = Pace(arguments.validate_every, simulators=arguments.workers)
     imagenet = arguments.imagenet and arguments.imagenet.resolve()
-    clips = rig_clips(RECIPES[arguments.recipe](), arguments.data, arguments.balls)
+    clips = _clips(arguments)
     run = partial(_run_training, arguments.recipe, folder, pace, initial, imagenet, clips)
     if arguments.ray is None:
         error = run()
@@ -288,12 +289,19 @@ def _run_training(
     return trainer.run()
 
 
+def _clips(arguments: argparse.Namespace) -> dict[Split, Clips] | None:
+    try:
+        return rig_clips(RECIPES[arguments.recipe](), arguments.data, arguments.balls)
+    except FootageError as error:
+        raise SystemExit(str(error)) from error
+
+
 def _rig(arguments: argparse.Namespace) -> None:
     recipe = RECIPES[arguments.recipe]()
     if not arguments.data.is_dir():
         print(f"skipped: there are no clips at {arguments.data}")
         return
-    clips = rig_clips(recipe, arguments.data, arguments.balls)
+    clips = _clips(arguments)
     assert clips is not None
     rig = Rig(clips)
     there = (runs_folder() / recipe.name / BEST).exists()

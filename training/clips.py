@@ -225,26 +225,23 @@ def rig_clips(
 
     Raises
     ------
-    SystemExit
-        When recipe, folder and balls do not fit.
+    FootageError
+        When recipe, folder and balls do not fit, or the folder cannot be read.
     """
-    if bool(recipe.scenarios) == bool(folder):
-        raise SystemExit(
-            f"{recipe.name} is trained on clips; name their folder with --data"
-            if folder is None
-            else f"{recipe.name} is trained on simulated scenes; --data is for the recipes rig-..."
-        )
     if folder is None:
-        return None
+        if recipe.scenarios:
+            return None
+        raise FootageError(f"{recipe.name} is trained on clips; name their folder with --data")
+    if recipe.scenarios:
+        raise FootageError(
+            f"{recipe.name} is trained on simulated scenes; --data is for the recipes rig-..."
+        )
     objects = recipe.task.objects
-    try:
-        splits = load_clips(folder)
-    except FootageError as error:
-        raise SystemExit(str(error)) from error
+    splits = load_clips(folder)
     there = len(splits["training"][0].positions)
     chosen = balls or ([0] if objects == 1 else list(range(there)))
     if len(chosen) != objects or not set(chosen) <= set(range(there)):
-        raise SystemExit(
+        raise FootageError(
             f"{recipe.name} forecasts {objects} of the clips' balls 0 to {there - 1}, "
             f"--balls names {', '.join(map(str, chosen))}"
         )

@@ -140,7 +140,7 @@ def test_a_rig_is_trained_on_its_clips(folder, tmp_path):
     ],
 )
 def test_recipes_clips_and_balls_have_to_fit(folder, recipe, named, balls, reason):
-    with pytest.raises(SystemExit, match=reason):
+    with pytest.raises(FootageError, match=reason):
         rig_clips(RECIPES[recipe](), folder if named else None, balls)
 
 
