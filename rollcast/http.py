@@ -20,8 +20,17 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from rollcast.scene import MAX_OBJECTS, MAX_SEED, Color, Scenario, Scene
-from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
+from rollcast.scene import (
+    MAX_FORECAST_OBJECTS,
+    MAX_OBJECTS,
+    MAX_SEED,
+    BallColor,
+    Color,
+    Domain,
+    Scenario,
+    Scene,
+)
+from rollcast.trajectory import OBSERVED_FRAMES
 
 API_VERSION = "1.0"
 AUTO_MODEL = "auto"
@@ -91,12 +100,14 @@ class PredictRequest(RequestBody):
     """Step that the final frame shows; only the model's own is accepted."""
     horizon: Annotated[Integer, Field(ge=1, le=MAX_HORIZON)] | None = None
     """Number of steps, t = 0..horizon-1: 40 by default, with a final frame ``final_step`` + 1."""
-    objects: ObjectCount | None = None
+    objects: Annotated[Integer, Field(ge=1, le=MAX_FORECAST_OBJECTS)] | None = None
     """Number of balls: by default the named model's, with "auto" one."""
-    scenario: Scenario | None = None
-    """Narrows the choice to models made for this scenario."""
-    frame_rate: Annotated[Number, Field(gt=0, le=100_000)] = FRAME_RATE_HZ
-    """Frames a second of the observed frames; the forecast's steps are as far apart."""
+    scenario: Domain | None = None
+    """Narrows the choice to models made for this scenario, or for footage of a set-up of one's
+    own."""
+    frame_rate: Annotated[Number, Field(gt=0, le=100_000)] | None = None
+    """Frames a second of the observed frames, by default as many as the model was trained on; the
+    forecast's steps are as far apart."""
 
 
 class ModelReference(ResponseBody):
@@ -113,7 +124,7 @@ class ForecastObject(ResponseBody):
     """The forecast of one ball."""
 
     id: int
-    color: Color
+    color: BallColor
     positions: list[Point]
     """[horizon][x, y], pixels."""
     covariances: list[Matrix]
@@ -181,7 +192,7 @@ class StreamBall(ResponseBody):
     """What does not change from step to step of one ball."""
 
     id: int
-    color: Color
+    color: BallColor
     covariance_source: Literal["predicted", "empirical"]
 
 
@@ -350,6 +361,15 @@ class ModelMetrics(ResponseBody):
     """One row per split, scenario and horizon (``rollcast.manifest.MetricRow``)."""
 
 
+class ModelRig(ResponseBody):
+    """The set-up whose footage a model was trained on."""
+
+    colors: list[BallColor]
+    """Of each ball, in the order of a forecast's objects."""
+    crop: tuple[int, int, int]
+    """x, y and size of the square of the camera's pictures that frames show, pixels."""
+
+
 class ModelEntry(ResponseBody):
     """One version of one model. What only its manifest tells is None when that cannot be read."""
 
@@ -362,8 +382,12 @@ class ModelEntry(ResponseBody):
     """Why it is not ready."""
     variant: str | None = None
     preset: str | None = None
-    scenarios: list[Scenario] | None = None
+    scenarios: list[Domain] | None = None
     objects: int | None = None
+    frame_rate_hz: float | None = None
+    """Frames a second of what it was trained on."""
+    rig: ModelRig | None = None
+    """The set-up that it was trained on, where its scenarios are ``footage``."""
     frames: int | None = None
     """Frames that it reads: 4, or 5 with a final frame."""
     final_step: int | None = None

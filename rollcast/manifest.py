@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
 
 from rollcast.camera import NETWORK_FRAME_SIZE
-from rollcast.scene import MAX_OBJECTS, Scenario
+from rollcast.scene import COLORS, MAX_FORECAST_OBJECTS, BallColor, Domain, Scenario
 from rollcast.trajectory import OBSERVED_FRAMES
 
 EYE_FILE = "eye.onnx"
@@ -92,7 +92,7 @@ class MetricRow(_Part):
     """Accuracy on one split of one scenario up to one horizon."""
 
     split: Literal["validation", "test"]
-    scenario: Scenario
+    scenario: Domain
     horizon: Annotated[int, Field(ge=1)]
     """The error is that of step ``horizon - 1``."""
     sequences: Annotated[int, Field(ge=1)]
@@ -130,6 +130,15 @@ class Unfamiliar(_Part):
     test_windows: Annotated[int, Field(ge=1)]
 
 
+class Rig(_Part):
+    """The set-up whose footage a model was trained on."""
+
+    colors: tuple[BallColor, ...]
+    """Of each ball, in the order of the tracks."""
+    crop: tuple[int, int, Annotated[int, Field(ge=1)]]
+    """x, y and size of the square of the camera's pictures that frames show, pixels."""
+
+
 class Manifest(_Part):
     """Everything there is to know about one version of one model."""
 
@@ -140,8 +149,8 @@ class Manifest(_Part):
     """A bare NAME means the version that is marked as default."""
     variant: Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
     preset: str
-    scenarios: Annotated[tuple[Scenario, ...], Field(min_length=1)]
-    objects: Annotated[int, Field(ge=1, le=MAX_OBJECTS)]
+    scenarios: Annotated[tuple[Domain, ...], Field(min_length=1)]
+    objects: Annotated[int, Field(ge=1, le=MAX_FORECAST_OBJECTS)]
     observed_frames: Literal[4]
     frames: Literal[4, 5]
     """Frames that the encoder reads: the observed ones and, with 5, the final one."""
@@ -163,6 +172,8 @@ class Manifest(_Part):
     parity: Parity
     golden_tolerance: dict[OutputName, Positive]
     """Largest absolute difference from golden.npz at which the model is served."""
+    rig: Rig | None = None
+    """Of models for footage, and of them alone."""
     unfamiliar: Unfamiliar | None = None
     """None without FAMILIARITY_FILE: such a model cannot tell."""
     files: dict[str, Sha256]
@@ -186,6 +197,10 @@ class Manifest(_Part):
             raise ValueError(f"final_step is {self.final_step} with {self.frames} frames")
         if set(self.files) - {EYE_FILE, FAMILIARITY_FILE} != set(HASHED_FILES):
             raise ValueError(f"files are {sorted(self.files)}, expected {sorted(HASHED_FILES)}")
+        if (self.rig is not None) != ("footage" in self.scenarios):
+            raise ValueError(f"rig belongs to footage, the scenarios are {self.scenarios}")
+        if len(self.colors) != self.objects:
+            raise ValueError(f"rig has {len(self.colors)} colors for {self.objects} objects")
         if (self.unfamiliar is None) == (FAMILIARITY_FILE in self.files):
             raise ValueError(f"{FAMILIARITY_FILE} and unfamiliar belong together")
         if set(self.golden_tolerance) != wanted:
@@ -196,6 +211,27 @@ class Manifest(_Part):
     def label(self) -> str:
         """NAME@VERSION."""
         return f"{self.name}@{self.version}"
+
+    @property
+    def simulated(self) -> tuple[Scenario, ...]:
+        """Its scenarios, all of them simulated.
+
+        Raises
+        ------
+        ValueError
+            When it knows footage, of which no scenes can be made.
+        """
+        known: list[Scenario] = []
+        for scenario in self.scenarios:
+            if scenario == "footage":
+                raise ValueError(f"{self.label} knows footage: there are no scenes to try it on")
+            known.append(scenario)
+        return tuple(known)
+
+    @property
+    def colors(self) -> tuple[BallColor, ...]:
+        """Of each ball, in the order of all outputs."""
+        return COLORS[: self.objects] if self.rig is None else self.rig.colors
 
     @property
     def output_names(self) -> tuple[OutputName, ...]:

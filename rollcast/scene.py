@@ -13,6 +13,15 @@ COLORS: tuple[Color, ...] = ("red", "green", "blue")
 """Balls are ordered by colour: object k always has colour ``COLORS[k]``."""
 
 MAX_OBJECTS = len(COLORS)
+MAX_FORECAST_OBJECTS = 4
+"""Of a forecast: footage of a user's own set-up may show one more than scenes."""
+
+Domain: TypeAlias = Literal["hemisphere", "ellipsoid", "heightfield", "footage"]
+"""What a model knows: a simulated scenario, or footage of somebody's own set-up."""
+
+BallColor: TypeAlias = Color | Annotated[str, Field(pattern=r"^#[0-9a-f]{6}$")]
+"""Of a ball in footage: its mean colour there. All are colours of CSS."""
+
 MAX_SEED = 2**53 - 1
 """Largest seed: every seed survives JSON, whose numbers are doubles."""
 

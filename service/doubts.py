@@ -5,23 +5,22 @@ from jaxtyping import UInt8
 
 from rollcast.familiarity import Look, look
 from rollcast.footage import RATE_TOLERANCE
-from rollcast.http import PredictRequest
 from rollcast.manifest import Manifest
 from service.rollout import Predictor
 
 
 def doubts(
-    request: PredictRequest,
     predictor: Predictor,
     horizon: int,
+    frame_rate: float,
     frames: UInt8[np.ndarray, "K 128 128 3"],
 ) -> list[str]:
-    """Return every reason that there is for the forecast of a request."""
+    """Return every reason that there is for a forecast from some frames, so many a second."""
     manifest = predictor.manifest
     seen = look(frames)
     return [
         *_of_horizon(manifest, horizon),
-        *_of_rate(manifest, request.frame_rate),
+        *_of_rate(manifest, frame_rate),
         *_of_stillness(seen),
         *_of_looks(predictor, seen),
     ]

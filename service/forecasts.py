@@ -18,7 +18,6 @@ from rollcast.http import (
     StreamStep,
 )
 from rollcast.manifest import Manifest
-from rollcast.scene import COLORS
 from service.doubts import doubts
 from service.errors import InvalidValueError
 from service.images import decode_frames
@@ -48,6 +47,7 @@ class _Forecast:
         self._registry = registry
         self._stages = Stages(metrics)
         self._side = 0
+        self._rate = 0.0
         self._horizon = 0
         self._doubts: list[str] = []
 
@@ -66,8 +66,9 @@ class _Forecast:
         predictor = self._registry.choose(wish)
         self.manifest = predictor.manifest
         self._horizon = _horizon(request, predictor.manifest)
+        self._rate = request.frame_rate or predictor.manifest.frame_rate_hz
         frames, self._side = _decode(request)
-        self._doubts = doubts(request, predictor, self._horizon, frames)
+        self._doubts = doubts(predictor, self._horizon, self._rate, frames)
         self._stages.next()
         return Seen(predictor, frames[None], self._horizon)
 
@@ -79,7 +80,7 @@ class _Forecast:
     def forecast(self, outputs: Outputs, first_step: int) -> Forecast:
         """Turn stacked outputs into a forecast in the units of the user's frames."""
         return assemble(outputs, self.manifest.covariance, first_step).rescaled(
-            self._side / NETWORK_FRAME_SIZE, self.request.frame_rate / self.manifest.frame_rate_hz
+            self._side / NETWORK_FRAME_SIZE, self._rate / self.manifest.frame_rate_hz
         )
 
     def summary(self, final_positions: np.ndarray | None) -> ForecastSummary:
@@ -94,7 +95,7 @@ class _Forecast:
                 trained_horizon=manifest.trained_horizon,
             ),
             frame_size=(self._side, self._side),
-            frame_rate=self.request.frame_rate,
+            frame_rate=self._rate,
             final_positions=None if final_positions is None else final_positions[0].tolist(),
             warnings=self._doubts,
             timing_ms=taken,
@@ -127,7 +128,7 @@ class WholeForecast(_Forecast):
         response = PredictResponse(
             **dict(self.summary(forecast.final_positions)),
             objects=_objects(forecast, self.manifest),
-            times_s=[step / self.request.frame_rate for step in range(len(self._steps))],
+            times_s=[step / self._rate for step in range(len(self._steps))],
         )
         return response.model_dump_json()
 
@@ -167,7 +168,7 @@ class StreamedForecast(_Forecast):
         self._emit(
             StreamStep(
                 step=index,
-                time_s=index / self.request.frame_rate,
+                time_s=index / self._rate,
                 objects=[
                     StreamObject(
                         id=ball.id,
@@ -189,8 +190,8 @@ class StreamedForecast(_Forecast):
             StreamDone(
                 **dict(self.summary(self._final)),
                 objects=[
-                    StreamBall(id=ball, color=COLORS[ball], covariance_source=source)
-                    for ball in range(self.manifest.objects)
+                    StreamBall(id=ball, color=color, covariance_source=source)
+                    for ball, color in enumerate(self.manifest.colors)
                 ],
             )
         )
@@ -224,11 +225,11 @@ def _objects(forecast: Forecast, manifest: Manifest) -> list[ForecastObject]:
     return [
         ForecastObject(
             id=ball,
-            color=COLORS[ball],
+            color=color,
             positions=forecast.positions[0, ball].tolist(),
             covariances=forecast.covariances[0, ball].tolist(),
             covariance_source=manifest.covariance.source,
             angular_velocities=None if turning is None else turning[0, ball].tolist(),
         )
-        for ball in range(manifest.objects)
+        for ball, color in enumerate(manifest.colors)
     ]

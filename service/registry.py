@@ -6,7 +6,7 @@ from typing import Literal
 
 from rollcast.http import AUTO_MODEL
 from rollcast.manifest import Manifest
-from rollcast.scene import Scenario
+from rollcast.scene import Domain
 from service.errors import (
     InvalidValueError,
     ModelUnavailableError,
@@ -55,7 +55,7 @@ class Wish:
 
     model: str = AUTO_MODEL
     objects: int | None = None
-    scenario: Scenario | None = None
+    scenario: Domain | None = None
     final_frame: bool = False
 
 
@@ -163,7 +163,11 @@ class Registry:
         return predictor
 
     def _choose_best(self, wish: Wish) -> Predictor:
-        """Apply the design's rule for "auto" to the default versions."""
+        """Apply the design's rule for "auto" to the default versions.
+
+        A model for footage knows one set-up alone, so it is chosen where footage is asked for, or
+        where nothing else forecasts so many balls (decision 0129).
+        """
         objects = wish.objects or 1
         peers = [
             predictor
@@ -171,7 +175,8 @@ class Registry:
             if predictor.manifest.default and predictor.manifest.objects == objects
         ]
         if wish.scenario is None:
-            scenarios = {scenario for peer in peers for scenario in peer.manifest.scenarios}
+            known = {scenario for peer in peers for scenario in peer.manifest.scenarios}
+            scenarios = known - {"footage"} or known
         else:
             scenarios = {wish.scenario}
         suitable = [

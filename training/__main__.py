@@ -28,6 +28,7 @@ from training.quantise import NotWorthItError, quantise
 from training.recipes import RECIPES
 from training.report import with_results
 from training.results import committed
+from training.rig_export import export_rig
 from training.rig_report import BASELINES, Rig, markdown, measure
 from training.settings import runs_folder
 from training.simulate import Source, data_folder, in_processes, make_missing, split_shards
@@ -94,19 +95,7 @@ def _parser() -> argparse.ArgumentParser:
         help="exported models (models/NAME/VERSION) or a run's folder to start from; the first "
         "one's encoder wins",
     )
-    train.add_argument(
-        "--data",
-        type=Path,
-        metavar="FOLDER",
-        help="clips with tracks (rollcast track) for the recipes rig-...: your own set-up",
-    )
-    train.add_argument(
-        "--balls",
-        type=int,
-        nargs="+",
-        metavar="BALL",
-        help="of the clips' balls, those to forecast (default: all, for rig-one-ball the first)",
-    )
+    _add_clips(train)
     train.add_argument(
         "--imagenet",
         type=Path,
@@ -162,6 +151,8 @@ def _parser() -> argparse.ArgumentParser:
     exported.add_argument("--version", type=int, default=1)
     exported.add_argument("--models", type=Path, default=MODELS)
     exported.add_argument("--scenes", type=int, default=500, help="test scenes per scenario")
+    _add_clips(exported)
+    exported.add_argument("--name", help="of a model for clips (default: the recipe's)")
     exported.set_defaults(run=_export)
 
     quantised = commands.add_parser(
@@ -214,6 +205,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     reported.set_defaults(run=_report)
     return parser
+
+
+def _add_clips(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--data",
+        type=Path,
+        metavar="FOLDER",
+        help="clips with tracks (rollcast track) for the recipes rig-...: your own set-up",
+    )
+    command.add_argument(
+        "--balls",
+        type=int,
+        nargs="+",
+        metavar="BALL",
+        help="of the clips' balls, those to forecast (default: all, for rig-one-ball the first)",
+    )
 
 
 def _add_ray(command: argparse.ArgumentParser, what: str) -> None:
@@ -322,7 +329,7 @@ def _evaluate(arguments: argparse.Namespace) -> None:
         return
     manifest, predictor = load_exported(arguments.model)
     sets = evaluation_sets(
-        manifest.scenarios,
+        manifest.simulated,
         manifest.objects,
         manifest.final_step,
         arguments.split,
@@ -343,21 +350,29 @@ def _dissect(arguments: argparse.Namespace) -> None:
         scenario: dissected(
             network, Source(scenario, manifest.objects), arguments.scenes, arguments.workers
         )
-        for scenario in manifest.scenarios
+        for scenario in manifest.simulated
     }
     print(dissection_table(errors, manifest.objects))
 
 
 def _export(arguments: argparse.Namespace) -> None:
+    recipe, folder = RECIPES[arguments.recipe](), runs_folder() / arguments.recipe
+    clips = _clips(arguments)
     try:
-        manifests = export_run(
-            RECIPES[arguments.recipe](),
-            runs_folder() / arguments.recipe,
-            arguments.models,
-            arguments.version,
-            arguments.scenes,
-            arguments.workers,
-        )
+        if clips is None:
+            manifests = export_run(
+                recipe,
+                folder,
+                arguments.models,
+                arguments.version,
+                arguments.scenes,
+                arguments.workers,
+            )
+        else:
+            name = arguments.name or recipe.members[0].name
+            made = export_rig(recipe, folder, clips, arguments.models, name, arguments.version)
+            _show([made])
+            return
     except FileNotFoundError as error:
         raise SystemExit(
             f"no trained weights at {error.filename}: run `python -m training train "

@@ -39,6 +39,8 @@ SETUP_FILE = "setup.json"
 VIDEOS = (".mp4", ".webm", ".mov", ".avi", ".mkv")
 UNSEEN: Mapping[Split, float] = {"validation": 0.15, "test": 0.15}
 """Shares of the clips that training does not see, where nobody says which."""
+EVERY = 5
+"""Frames between the windows of a clip that figures are of."""
 MISSED_FRAME = 1.5
 """Times between frames, in multiples of the usual one, from which one is missing."""
 
@@ -69,6 +71,10 @@ class Clip:
     positions: Float[np.ndarray, "balls frames 2"]
     missed: np.ndarray
     frame_rate: float
+    crop: SquareCrop
+    """What the frames show of the camera's pictures."""
+    colors: tuple[str, ...]
+    """Of each ball."""
 
 
 class Place(NamedTuple):
@@ -97,6 +103,11 @@ class Clips:
     def objects(self) -> int:
         """Balls of every window."""
         return len(self._balls)
+
+    @property
+    def colors(self) -> tuple[str, ...]:
+        """Of each ball of the windows, in the first clip."""
+        return tuple(self.clips[0].colors[ball] for ball in self._balls)
 
     def places(self, horizon: int, every: int = 1) -> list[Place]:
         """Return where windows with ``horizon`` steps may begin, every so many frames."""
@@ -292,6 +303,8 @@ def _clip(path: Path, crop: SquareCrop | None) -> Clip:
         positions.swapaxes(0, 1),
         np.concatenate([[False], spans > MISSED_FRAME * usual]),
         1 / usual,
+        crop,
+        tracks.colours,
     )
 
 

@@ -2,14 +2,14 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.manifest import MetricRow
-from rollcast.scene import Scenario
+from rollcast.scene import Domain, Scenario
 from rollcast.simulation.recording import TEST_START
 from training.baselines.least_squares import POINTS, polynomial
 from training.dataset import Window, fixed_windows, generated_horizon
@@ -18,12 +18,15 @@ from training.models.predictor import Family, Network
 from training.simulate import Recording, Source, load_recordings, simulate_split
 from training.splits import Split
 
+Shown = TypeVar("Shown", bound=Domain)
+"""What forecasts show: scenarios, or footage."""
+
 
 @dataclass(frozen=True)
-class EvaluationSet:
+class EvaluationSet(Generic[Shown]):
     """Fixed windows of one scenario, with what the baselines need of their recordings."""
 
-    scenario: Scenario
+    scenario: Shown
     split: Split
     windows: Sequence[Window]
     line: np.ndarray
@@ -47,7 +50,7 @@ def evaluation_sets(
     split: Split,
     scenes: int,
     workers: int,
-) -> list[EvaluationSet]:
+) -> list[EvaluationSet[Scenario]]:
     """Simulate (or load) and render the first ``scenes`` scenes of a split of every scenario.
 
     Parameters
@@ -56,7 +59,7 @@ def evaluation_sets(
         Forecast step that a fifth frame shows; None leaves that frame out.
     """
     horizon = generated_horizon(objects)
-    sets: list[EvaluationSet] = []
+    sets: list[EvaluationSet[Scenario]] = []
     for scenario in scenarios:
         shards = simulate_split(Source(scenario, objects), split, scenes, workers)
         recordings = load_recordings(shards)
@@ -73,7 +76,7 @@ def _first_positions(recording: Recording) -> np.ndarray:
     return camera_for(scenario, NETWORK_FRAME_SIZE).project(seen.positions_m).swapaxes(0, 1)
 
 
-def run(predictor: Network, sets: Sequence[EvaluationSet]) -> Mapping[Scenario, Forecasts]:
+def run(predictor: Network, sets: Sequence[EvaluationSet[Shown]]) -> Mapping[Shown, Forecasts]:
     """Forecast every set up to T_gen."""
     device = next(predictor.parameters()).device
     alone = Family({"it": predictor})
@@ -118,8 +121,8 @@ def mean_error(errors: Float[np.ndarray, "sequences objects"]) -> tuple[float, f
 
 
 def metric_rows(
-    sets: Sequence[EvaluationSet],
-    forecasts: Mapping[Scenario, Forecasts],
+    sets: Sequence[EvaluationSet[Shown]],
+    forecasts: Mapping[Shown, Forecasts],
     trained_horizon: int,
 ) -> list[MetricRow]:
     """Make the rows of a model's table, one a scenario and reported horizon."""

@@ -28,11 +28,10 @@ from rollcast.manifest import (
     Parity,
     StateTensor,
 )
-from rollcast.scene import Scenario
-from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
-from training.card import LICENCE, model_card
-from training.dataset import Window, collate, compared_horizon
-from training.evaluate import EvaluationSet, evaluation_sets, metric_rows, run
+from rollcast.trajectory import OBSERVED_FRAMES
+from training.card import model_card
+from training.dataset import Window, collate
+from training.evaluate import EvaluationSet, Shown, evaluation_sets, metric_rows, run
 from training.graphs import STATE_NAMES, Graphs, first_observation, present, write_graphs
 from training.metrics import Forecasts
 from training.models.eye import Eye
@@ -40,10 +39,10 @@ from training.models.predictor import Network
 from training.models.sighted import AttendedTransition
 from training.recipes.recipe import Recipe
 from training.storage import round_weights
+from training.trained import Trained
 from training.trainer import BEST
 
-Shown = TypeVar("Shown", bound=str)
-"""What forecasts show: scenarios, or footage."""
+Key = TypeVar("Key")
 
 TOLERANCE: Mapping[OutputName, float] = {
     "positions": 1e-2,
@@ -61,19 +60,6 @@ UNITS: Mapping[OutputName, str] = {
 }
 GOLDEN_SEQUENCES = 2
 CALIBRATED = (0.50, 0.95)
-
-
-@dataclass(frozen=True)
-class Trained:
-    """A network ready to be exported: the member ``name`` of a recipe."""
-
-    recipe: Recipe
-    name: str
-    predictor: Network
-    sequences: int
-    """Training sequences that its weights have seen."""
-    horizon: int
-    """Steps of the longest rollouts that trained its weights."""
 
 
 def export_run(
@@ -105,8 +91,8 @@ def export(
     trained: Trained,
     folder: Path,
     version: int,
-    validation: Sequence[EvaluationSet],
-    test: Sequence[EvaluationSet],
+    validation: Sequence[EvaluationSet[Shown]],
+    test: Sequence[EvaluationSet[Shown]],
 ) -> Manifest:
     """Write ``models/NAME/VERSION`` and prove that it computes what torch does.
 
@@ -135,15 +121,7 @@ def export(
     parity = measure_parity(predictor, folder, windows, horizons=(max(horizon // 2, 1), horizon))
     judged = judge(partial(run, predictor), validation, test, horizon)
     observation = first_observation(predictor, sample)
-    card = model_card(
-        trained.recipe,
-        trained.name,
-        version,
-        trained.sequences,
-        horizon,
-        judged.rows,
-        judged.covariance,
-    )
+    card = model_card(trained, version, judged.rows, judged.covariance)
     (folder / CARD_FILE).write_text(card, encoding="utf-8")
     manifest = Manifest(
         format_version=1,
@@ -152,12 +130,12 @@ def export(
         default=True,
         variant=trained.recipe.member(trained.name).variant,
         preset=trained.recipe.preset,
-        scenarios=trained.recipe.scenarios,
+        scenarios=trained.scenarios,
         objects=task.objects,
         observed_frames=OBSERVED_FRAMES,
         frames=task.frames,
         final_step=task.final_step,
-        frame_rate_hz=FRAME_RATE_HZ,
+        frame_rate_hz=trained.frame_rate_hz,
         frame_size=NETWORK_FRAME_SIZE,
         trained_horizon=horizon,
         state=tuple(
@@ -178,14 +156,15 @@ def export(
             "sequences": trained.sequences,
             "seed": trained.recipe.seed,
             "interaction": task.interaction,
-            "scenes": {part.source.name: part.scenes for part in trained.recipe.data},
+            "scenes" if trained.filmed is None else "clips": {**trained.sources},
         },
+        rig=None if trained.filmed is None else trained.filmed.rig,
         metrics=judged.rows,
         validation_error_px=judged.validation_error_px,
         parity=parity,
         golden_tolerance={name: TOLERANCE[name] for name in observation},
         files=hashes(folder),
-        licence=LICENCE,
+        licence=trained.licence,
     )
     manifest.write(folder / MANIFEST_FILE)
     return manifest
@@ -201,9 +180,9 @@ class Judged:
 
 
 def judge(
-    forecast: Callable[[Sequence[EvaluationSet]], Mapping[Scenario, Forecasts]],
-    validation: Sequence[EvaluationSet],
-    test: Sequence[EvaluationSet],
+    forecast: Callable[[Sequence[EvaluationSet[Shown]]], Mapping[Shown, Forecasts]],
+    validation: Sequence[EvaluationSet[Shown]],
+    test: Sequence[EvaluationSet[Shown]],
     horizon: int,
 ) -> Judged:
     """Fit a model's covariances on the validation split, and measure it on both.
@@ -219,7 +198,7 @@ def judge(
     covariance = fit_covariance(on_validation)
     rows = metric_rows(validation, with_covariance(on_validation, covariance), horizon)
     rows += metric_rows(test, with_covariance(forecast(test), covariance), horizon)
-    compared = compared_horizon(validation[0].objects)
+    compared = validation[0].horizon // 2
     errors = [
         row.position_error_px
         for row in rows
@@ -228,7 +207,7 @@ def judge(
     return Judged(covariance, tuple(rows), round(float(np.mean(errors)), 4))
 
 
-def _spread(sets: Sequence[EvaluationSet], windows: int) -> list[Window]:
+def _spread(sets: Sequence[EvaluationSet[Shown]], windows: int) -> list[Window]:
     """Take some windows, from every scenario in turn."""
     return [sets[k % len(sets)].windows[k // len(sets)] for k in range(windows)]
 
@@ -273,7 +252,7 @@ def measure_parity(
     )
 
 
-def fit_covariance(forecasts: Mapping[Shown, Forecasts]) -> CovarianceSource:
+def fit_covariance(forecasts: Mapping[Key, Forecasts]) -> CovarianceSource:
     """Fit what the manifest says of uncertainty, on validation forecasts up to T_gen.
 
     A network that predicts covariances gets a variance scale at every step: the largest of those
@@ -305,8 +284,8 @@ def fit_covariance(forecasts: Mapping[Shown, Forecasts]) -> CovarianceSource:
 
 
 def with_covariance(
-    forecasts: Mapping[Shown, Forecasts], covariance: CovarianceSource
-) -> Mapping[Shown, Forecasts]:
+    forecasts: Mapping[Key, Forecasts], covariance: CovarianceSource
+) -> Mapping[Key, Forecasts]:
     """Forecasts with the covariances that the service will answer with."""
     return {
         scenario: replace(made, covariances=_served_covariances(made, covariance))

@@ -1,6 +1,6 @@
 """Fits what training frames look like, so that the service can tell when others do not (0120)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from rollcast.familiarity import Familiarity, Look, look, summed_up
 from rollcast.manifest import FAMILIARITY_FILE, MANIFEST_FILE, Manifest, Unfamiliar
 from rollcast.scene import SMALL_RADIUS_M, Scenario
+from training.clips import Clips
 from training.dataset import Symmetry, WindowMaker, fixed_windows
 from training.export import hashes
 from training.simulate import Source, load_recordings, simulate_split
@@ -17,6 +18,9 @@ COMPONENTS = 24
 LATEST_START = 140
 """Last frame of a simulation at which a window may begin, as in training."""
 WINDOWS_A_SCENE = 24
+CLIP_FRAMES_BETWEEN = 3
+LEAST_VARIANCE = 1e-6
+"""Relative to the largest: of few windows some numbers do not vary at all."""
 FALSE_ALARMS = 0.005
 """Share of the validation windows that the threshold leaves above it."""
 FAMILIAR_SCENES = 100
@@ -40,7 +44,7 @@ def familiarise(folders: Sequence[Path], scenes: int, workers: int) -> list[Mani
     kinds: dict[tuple[tuple[Scenario, ...], int], list[Path]] = {}
     for folder in folders:
         manifest = Manifest.read(folder / MANIFEST_FILE)
-        kinds.setdefault((manifest.scenarios, manifest.objects), []).append(folder)
+        kinds.setdefault((manifest.simulated, manifest.objects), []).append(folder)
     written: list[Manifest] = []
     for kind, alike in sorted(kinds.items()):
         sources = _sources(*kind)
@@ -72,6 +76,17 @@ def judge(familiarity: Familiarity, known: Sequence[Look], fresh: Sequence[Look]
     )
 
 
+def familiarise_clips(folder: Path, clips: Mapping[Split, Clips]) -> Manifest:
+    """Fit, and write into an artefact, what the clips look like that it was trained on.
+
+    Windows begin every few frames of the training clips, under any of the square's symmetries; the
+    threshold is chosen on the validation clips, the false alarms are counted on the test clips.
+    """
+    fitted = fit([clip_looks(clips["training"], symmetric=True)])
+    known, fresh = (clip_looks(clips[split], symmetric=False) for split in ("validation", "test"))
+    return keep(fitted, judge(fitted, known, fresh), folder)
+
+
 def keep(familiarity: Familiarity, unfamiliar: Unfamiliar, folder: Path) -> Manifest:
     """Write both into an artefact."""
     familiarity.write(folder / FAMILIARITY_FILE)
@@ -96,6 +111,7 @@ def _fit(seen: Sequence[Look]) -> tuple[np.ndarray, ...]:
     numbers = np.stack([summed_up(one, thumbnail, components) for one in seen]).astype(float)
     mean = numbers.mean(axis=0)
     variances, axes = np.linalg.eigh(np.cov(numbers.T))
+    variances = variances.clip(min=LEAST_VARIANCE * variances[-1])
     return thumbnail, components, mean, (axes / np.sqrt(variances)).T
 
 
@@ -110,6 +126,19 @@ def looks(source: Source, split: Split, scenes: int, workers: int) -> list[Look]
             symmetry = Symmetry(int(generator.integers(4)), bool(generator.integers(2)))
             window = symmetry.apply(maker.window(index, int(start), horizon=1))
             seen.append(look(window.frames))
+    return seen
+
+
+def clip_looks(clips: Clips, *, symmetric: bool) -> list[Look]:
+    """Look at windows that begin every few frames of clips."""
+    generator = np.random.default_rng(SEED)
+    seen: list[Look] = []
+    for place in clips.places(horizon=1, every=CLIP_FRAMES_BETWEEN):
+        window = clips.window(place, horizon=1)
+        if symmetric:
+            turned = Symmetry(int(generator.integers(4)), bool(generator.integers(2)))
+            window = turned.apply(window)
+        seen.append(look(window.frames))
     return seen
 
 

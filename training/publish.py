@@ -66,7 +66,7 @@ def _examples(folders: Sequence[Path], workers: int) -> list[tuple[str, Window, 
             continue
         manifest, predictor = load_exported(folder)
         sets = evaluation_sets(
-            manifest.scenarios, manifest.objects, manifest.final_step, "test", SHARD_SCENES, workers
+            manifest.simulated, manifest.objects, manifest.final_step, "test", SHARD_SCENES, workers
         )
         first = [replace(part, windows=part.windows[:1]) for part in sets]
         forecasts = with_covariance(run(predictor, first), manifest.covariance)

@@ -73,7 +73,7 @@ def quantise(source: Path, version: int, test_scenes: int, workers: int) -> Mani
     float32 = Manifest.read(source / MANIFEST_FILE)
     horizon = compared_horizon(float32.objects)
     sets_of = partial(
-        evaluation_sets, float32.scenarios, float32.objects, float32.final_step, workers=workers
+        evaluation_sets, float32.simulated, float32.objects, float32.final_step, workers=workers
     )
     validation = sets_of("validation", VALIDATION_SCENES)
     with tempfile.TemporaryDirectory() as temporary:
@@ -163,12 +163,14 @@ def write_quantised(source: Path, to: Path, frames: np.ndarray) -> None:
     onnx.save(model, to)
 
 
-def _calibration_frames(sets: Sequence[EvaluationSet]) -> np.ndarray:
+def _calibration_frames(sets: Sequence[EvaluationSet[Scenario]]) -> np.ndarray:
     windows = [window for part in sets for window in part.windows[:CALIBRATION_WINDOWS]]
     return collate(windows)["frames"].numpy()
 
 
-def _forecasts(graphs: Graphs, sets: Sequence[EvaluationSet]) -> Mapping[Scenario, Forecasts]:
+def _forecasts(
+    graphs: Graphs, sets: Sequence[EvaluationSet[Scenario]]
+) -> Mapping[Scenario, Forecasts]:
     """Forecast every set up to T_gen."""
     made: dict[Scenario, Forecasts] = {}
     for part in sets:
@@ -181,7 +183,7 @@ def _forecasts(graphs: Graphs, sets: Sequence[EvaluationSet]) -> Mapping[Scenari
     return made
 
 
-def _gain(slow: Graphs, fast: Graphs, part: EvaluationSet, horizon: int) -> float:
+def _gain(slow: Graphs, fast: Graphs, part: EvaluationSet[Scenario], horizon: int) -> float:
     """How many times as fast a lone forecast is, on one thread: taken by turns, medians."""
     spent: dict[Graphs, list[float]] = {slow: [], fast: []}
     for window in part.windows[:TIMED_FORECASTS]:

@@ -166,10 +166,10 @@ def measure(models: Sequence[Path], scenes: int, workers: int) -> Results:
     """Measure models, and the baselines beside them, on the first scenes of the test split."""
     cells: list[Cell] = []
     curves: list[Curve] = []
-    known: dict[tuple[tuple[Scenario, ...], int, int | None], list[EvaluationSet]] = {}
+    known: dict[tuple[tuple[Scenario, ...], int, int | None], list[EvaluationSet[Scenario]]] = {}
     for folder in models:
         manifest, predictor = load_exported(folder)
-        kind = (manifest.scenarios, manifest.objects, manifest.final_step)
+        kind = (manifest.simulated, manifest.objects, manifest.final_step)
         if kind not in known:
             known[kind] = evaluation_sets(*kind, "test", scenes, workers)
         forecasts = with_covariance(run(predictor, known[kind]), manifest.covariance)
@@ -223,7 +223,9 @@ def _measure_model(
     return cells, replace(curve, coverage=shares)
 
 
-def _measure_baselines(part: EvaluationSet, objects: int) -> list[tuple[list[Cell], Curve]]:
+def _measure_baselines(
+    part: EvaluationSet[Scenario], objects: int
+) -> list[tuple[list[Cell], Curve]]:
     truth = np.stack([window.positions for window in part.windows])
     made: list[tuple[list[Cell], Curve]] = []
     for method, positions in (("stays put", stays_put(truth)), ("line", part.line)):

@@ -18,21 +18,19 @@ from training.baselines.least_squares import POINTS, polynomial
 from training.baselines.states import HALF_FRAME_PX, States, turned
 from training.baselines.vin import Vin
 from training.baselines.vlstm import VLstm
-from training.clips import Clips, ClipStream, Place
+from training.clips import EVERY, Clips, ClipStream, Place
 from training.dataset import Batch, Window, collate
 from training.evaluate import mean_error
 from training.export import fit_covariance, with_covariance
 from training.metrics import Forecasts, beside_truth, forecast, stays_put
 from training.models.predictor import Family
 from training.recipes.recipe import Recipe
+from training.recipes.rig import T_GEN, T_TRAIN
 from training.schedules import Cosine, Exponential, Plateau
 from training.settings import runs_folder
 from training.splits import Split
 from training.trainer import BEST
 
-T_TRAIN, T_GEN = 15, 30
-EVERY = 5
-"""Frames between the windows of a clip."""
 BUDGET = 24_000
 """Training sequences of every baseline that learns."""
 BATCH = 4

@@ -14,8 +14,8 @@ from rollcast.client.images import Crop, Frame, Frames
 from rollcast.client.results import Forecast, ForecastStep, Simulation
 from rollcast.client.tasks import off_the_loop, repeated, side_by_side
 from rollcast.http import AUTO_MODEL, Health, ModelDetail, ModelEntry
-from rollcast.scene import Scenario, Scene
-from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
+from rollcast.scene import Domain, Scenario, Scene
+from rollcast.trajectory import OBSERVED_FRAMES
 
 T = TypeVar("T")
 
@@ -68,8 +68,8 @@ class AsyncClient:
         final_frame: Frame | None = None,
         final_step: int | None = None,
         objects: int | None = None,
-        scenario: Scenario | None = None,
-        frame_rate: float = FRAME_RATE_HZ,
+        scenario: Domain | None = None,
+        frame_rate: float | None = None,
         crop: Crop | None = None,
     ) -> Forecast:
         """Forecast where the balls go.
@@ -88,9 +88,10 @@ class AsyncClient:
         objects
             Number of balls; by default the named model's, with "auto" one.
         scenario
-            Narrows the choice of "auto" to models made for it.
+            Narrows the choice of "auto" to models made for it, or for "footage" of a set-up of
+            one's own.
         frame_rate
-            Frames a second.
+            Frames a second; by default as many as the model was trained on.
         crop
             "square" cuts the largest square out of the middle of every frame; positions are then
             pixels of that square.

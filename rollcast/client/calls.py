@@ -35,7 +35,7 @@ from rollcast.http import (
     Problem,
     SimulateResponse,
 )
-from rollcast.scene import Scenario, Scene
+from rollcast.scene import Domain, Scenario, Scene
 
 T = TypeVar("T")
 
@@ -56,9 +56,9 @@ class ForecastOptions(TypedDict, total=False):
     """Step that the final frame shows."""
     objects: int | None
     """Number of balls."""
-    scenario: Scenario | None
+    scenario: Domain | None
     """Narrows the choice of "auto"."""
-    frame_rate: float
+    frame_rate: float | None
     """Frames a second."""
     crop: Crop | None
     """"square" cuts the largest square out of the middle of every frame."""

@@ -41,6 +41,8 @@ BELOW = np.array([0.0, 0.2])
 VELOCITY = np.array([0.01, 0.004])
 """Of the first ball at index 0, from each ball to the next and a step: shares of the frame."""
 RADIUS = 0.05
+FOURTH_COLOR = "#f0e442"
+"""Of a fourth ball, which only footage has."""
 SURFACE_POINTS = 9
 TURNING_RAD_S = (0.0, 1.0, 0.0)
 
@@ -106,14 +108,15 @@ def forecast(
     if wish.objects not in (None, len(positions)):
         raise RefusalError(_wrong("objects", wish.objects, f"{len(positions)}, as many as given"))
     covariance = ((variance_px2, 0.0), (0.0, variance_px2))
+    rate = wish.frame_rate or FRAME_RATE_HZ
     return PredictResponse(
         model=ModelReference(name=NAME, version=1, variant=NAME, trained_horizon=TRAINED_HORIZON),
         frame_size=(side, side),
-        frame_rate=wish.frame_rate,
+        frame_rate=rate,
         objects=[
             ForecastObject(
                 id=ball,
-                color=COLORS[ball],
+                color=(*COLORS, FOURTH_COLOR)[ball],
                 positions=path[:horizon].tolist(),
                 covariances=[covariance] * horizon,
                 covariance_source="predicted",
@@ -121,7 +124,7 @@ def forecast(
             )
             for ball, path in enumerate(positions)
         ],
-        times_s=[step / wish.frame_rate for step in range(horizon)],
+        times_s=[step / rate for step in range(horizon)],
         final_positions=None
         if wish.final_frame is None
         else [(float(path[horizon - 1][0]), float(path[horizon - 1][1])) for path in positions],

@@ -8,7 +8,6 @@ from PIL import Image
 
 from rollcast.client.images import Crop, Frames, pixels
 from rollcast.plot import draw_forecast, draw_truth
-from rollcast.trajectory import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
     from rollcast.client.results import Forecast, Simulation
@@ -29,7 +28,7 @@ def forecast(
             f"{len(frames)} frames at {list(times_s)} s, expected as many times, ascending from 0: "
             "the last observed frame"
         )
-    end_s = forecast.times_s[-1] + 0.5 / FRAME_RATE_HZ
+    end_s = forecast.times_s[-1] + 0.5 / forecast.frame_rate
     shown = _spread(sum(time_s <= end_s for time_s in times_s), panels)
     pictures = [pixels(frames[index], crop) for index in shown]
     for picture in pictures:

@@ -15,8 +15,8 @@ from rollcast.client.images import Crop, Frame, Frames
 from rollcast.client.results import Forecast, ForecastStep, Simulation
 from rollcast.client.threads import off_the_loop, repeated, side_by_side
 from rollcast.http import AUTO_MODEL, Health, ModelDetail, ModelEntry
-from rollcast.scene import Scenario, Scene
-from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
+from rollcast.scene import Domain, Scenario, Scene
+from rollcast.trajectory import OBSERVED_FRAMES
 
 T = TypeVar("T")
 
@@ -69,8 +69,8 @@ class Client:
         final_frame: Frame | None = None,
         final_step: int | None = None,
         objects: int | None = None,
-        scenario: Scenario | None = None,
-        frame_rate: float = FRAME_RATE_HZ,
+        scenario: Domain | None = None,
+        frame_rate: float | None = None,
         crop: Crop | None = None,
     ) -> Forecast:
         """Forecast where the balls go.
@@ -89,9 +89,10 @@ class Client:
         objects
             Number of balls; by default the named model's, with "auto" one.
         scenario
-            Narrows the choice of "auto" to models made for it.
+            Narrows the choice of "auto" to models made for it, or for "footage" of a set-up of
+            one's own.
         frame_rate
-            Frames a second.
+            Frames a second; by default as many as the model was trained on.
         crop
             "square" cuts the largest square out of the middle of every frame; positions are then
             pixels of that square.

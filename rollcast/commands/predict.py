@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from rollcast.client import Client
 from rollcast.commands.options import (
     DEFAULT_URL,
     Crop,
@@ -23,8 +24,10 @@ from rollcast.commands.overlay import draw
 from rollcast.commands.printing import forecast_text
 from rollcast.commands.progress import waiting
 from rollcast.commands.reading import frame_of_step, read
+from rollcast.footage import SquareCrop
 from rollcast.http import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON
-from rollcast.scene import MAX_OBJECTS, Scenario
+from rollcast.scene import MAX_FORECAST_OBJECTS, Domain
+from rollcast.trajectory import FRAME_RATE_HZ
 
 LONG_BLEND_S = 0.05
 """Between two frames in which a ball may have gone on too far for them to be faded."""
@@ -50,8 +53,8 @@ def predict(
         list[Path],
         typer.Argument(
             metavar="VIDEO|FOLDER|IMAGES",
-            help="a video, of which four frames are read, 40 a second (blended where the camera "
-            "took none); or a folder of images, or at least four images",
+            help="a video, of which four frames are read, 40 a second or as the model knows them "
+            "(blended where the camera took none); or a folder of images, or at least four images",
             show_default=False,
         ),
     ],
@@ -84,13 +87,13 @@ def predict(
     objects: Annotated[
         int | None,
         typer.Option(
-            parser=whole_number(1, MAX_OBJECTS),
+            parser=whole_number(1, MAX_FORECAST_OBJECTS),
             metavar="BALLS",
             help="how many balls there are (default: the model's, with auto 1)",
         ),
     ] = None,
     scenario: Annotated[
-        Scenario | None, typer.Option(help="let auto choose among models made for it")
+        Domain | None, typer.Option(help="let auto choose among models made for it")
     ] = None,
     url: Url = DEFAULT_URL,
     form: Printed = "table",
@@ -98,11 +101,12 @@ def predict(
     slower: Slower = 1,
 ) -> Outcome:
     """Read frames, ask the service where the ball goes, say and draw what it answers."""
-    observed, later_frames = read(footage, start, every, rate, crop)
-    final_frame = None if final is None else frame_of_step(final, observed, later_frames)
     if final is None and horizon is None:
         horizon = DEFAULT_HORIZON
     with client(context, url) as service, waiting("waiting for the service"):
+        known_rate, known_crop = _known(service, model)
+        observed, later_frames = read(footage, start, every, rate, crop or known_crop, known_rate)
+        final_frame = None if final is None else frame_of_step(final, observed, later_frames)
         forecast = service.predict(
             list(observed.frames),
             final_frame=final_frame,
@@ -117,15 +121,25 @@ def predict(
         draw(out, observed, later_frames, forecast, slower)
     warnings = list(forecast.warnings)
     if observed.blended_over_s:
-        warnings.insert(0, _blended(observed.blended_over_s))
+        warnings.insert(0, _blended(observed.blended_over_s, known_rate))
     text = forecast_text(observed, forecast, warnings, form)
     return Outcome(text, warnings if form == "csv" else ())
 
 
-def _blended(over_s: float) -> str:
+def _known(service: Client, model: str) -> tuple[float, SquareCrop | None]:
+    """Return how many frames a second a model knows and, of footage, which square of them."""
+    if model == AUTO_MODEL:
+        return FRAME_RATE_HZ, None
+    name, _, version = model.partition("@")
+    entry = service.model(name, int(version) if version.isdecimal() else None)
+    crop = None if entry.rig is None else SquareCrop(*entry.rig.crop)
+    return entry.frame_rate_hz or FRAME_RATE_HZ, crop
+
+
+def _blended(over_s: float, rate: float) -> str:
     """Warn that frames were made which the camera did not take."""
     text = (
-        "the camera took no frames 40 a second apart: they are blended from those before and "
-        f"after, up to {1e3 * over_s:.0f} ms apart"
+        f"the camera took no frames {rate:g} a second apart: they are blended from those before "
+        f"and after, up to {1e3 * over_s:.0f} ms apart"
     )
     return text if over_s <= LONG_BLEND_S else f"{text}, which is long for a ball that rolls"

@@ -23,8 +23,14 @@ def read(
     every: int | None,
     rate: float | None,
     crop: SquareCrop | None,
+    wanted_rate: float = FRAME_RATE_HZ,
 ) -> tuple[Footage, LaterFrames]:
     """Return the observed frames and what reads later ones.
+
+    Parameters
+    ----------
+    wanted_rate
+        Frames a second that the model knows.
 
     Raises
     ------
@@ -36,12 +42,12 @@ def read(
     if len(paths) == 1 and not paths[0].is_dir():
         if rate is not None:
             raise CommandError("--rate is for images; a video tells its own")
-        return _read_video(paths[0], start_s or 0.0, every, crop)
+        return _read_video(paths[0], start_s or 0.0, every, crop, wanted_rate)
     if start_s is not None:
         raise CommandError("--start is for a video; of images the first four are observed")
     images = _images_in(paths[0]) if len(paths) == 1 else paths
-    rate = (rate or FRAME_RATE_HZ) / (every or 1)
-    return _read_images(images[::every], rate, crop, as_they_are=every is not None)
+    rate = (rate or wanted_rate) / (every or 1)
+    return _read_images(images[::every], rate, crop, rate if every else wanted_rate)
 
 
 def frame_of_step(step: int, observed: Footage, later_frames: LaterFrames) -> np.ndarray:
@@ -67,19 +73,19 @@ def frame_of_step(step: int, observed: Footage, later_frames: LaterFrames) -> np
 
 
 def _read_video(
-    path: Path, start_s: float, every: int | None, crop: SquareCrop | None
+    path: Path, start_s: float, every: int | None, crop: SquareCrop | None, wanted_rate: float
 ) -> tuple[Footage, LaterFrames]:
     try:
         from rollcast.video import camera_rate, frames_at, read_frames
     except ModuleNotFoundError as error:
         raise MissingExtraError("videos need", "PyAV", "video") from error
-    rate = FRAME_RATE_HZ if every is None else camera_rate(path, start_s) / every
+    rate = wanted_rate if every is None else camera_rate(path, start_s) / every
     observed = read_frames(path, start_s=start_s, crop=crop, frame_rate=rate)
     return observed, lambda times_s: frames_at(path, times_s, crop=crop)
 
 
 def _read_images(
-    paths: Sequence[Path], rate: float, crop: SquareCrop | None, as_they_are: bool
+    paths: Sequence[Path], rate: float, crop: SquareCrop | None, wanted_rate: float
 ) -> tuple[Footage, LaterFrames]:
     if len(paths) < OBSERVED_FRAMES:
         raise CommandError(
@@ -91,16 +97,16 @@ def _read_images(
         indices = [round(time_s * rate) for time_s in times_s]
         return footage.part([index for index in indices if index < len(paths)])
 
-    return _observed(footage, as_they_are), later_frames
+    return _observed(footage, wanted_rate), later_frames
 
 
-def _observed(footage: Footage, as_they_are: bool) -> Footage:
-    """Return four frames, as far apart as the models know them where the images allow it."""
+def _observed(footage: Footage, wanted_rate: float) -> Footage:
+    """Return four frames, as far apart as the model knows them where the images allow it."""
     first = footage.part(slice(OBSERVED_FRAMES))
-    if as_they_are or abs(first.frame_rate / FRAME_RATE_HZ - 1) <= RATE_TOLERANCE:
+    if abs(first.frame_rate / wanted_rate - 1) <= RATE_TOLERANCE:
         return first
     try:
-        return footage.resampled(FRAME_RATE_HZ, OBSERVED_FRAMES)
+        return footage.resampled(wanted_rate, OBSERVED_FRAMES)
     except FootageError:  # of faster ones there are too few, and the service will say so
         return first
 

@@ -9,11 +9,10 @@ from rollcast.commands.options import CommandError, Crop, Outcome, whole_number
 from rollcast.commands.progress import counted, waiting
 from rollcast.errors import MissingExtraError
 from rollcast.film import write_film
+from rollcast.scene import MAX_FORECAST_OBJECTS
 
 if TYPE_CHECKING:
     from rollcast.tracking.quality import Quality
-
-MOST_BALLS = 4
 
 HELP = """\
 Track the balls of clips that a camera took from above.
@@ -38,7 +37,7 @@ def track(
     balls: Annotated[
         int | None,
         typer.Option(
-            parser=whole_number(1, MOST_BALLS),
+            parser=whole_number(1, MAX_FORECAST_OBJECTS),
             metavar="BALLS",
             help="how many there are (default: they are counted)",
         ),

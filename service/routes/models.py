@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter
 
-from rollcast.http import ModelDetail, ModelEntry, ModelList, ModelMetrics
+from rollcast.http import ModelDetail, ModelEntry, ModelList, ModelMetrics, ModelRig
 from service.openapi import problems_of
 from service.registry import Model, Registry
 from service.state import ServiceState
@@ -43,6 +43,8 @@ def _entry(model: Model) -> ModelEntry:
         preset=manifest.preset,
         scenarios=list(manifest.scenarios),
         objects=manifest.objects,
+        frame_rate_hz=manifest.frame_rate_hz,
+        rig=None if manifest.rig is None else ModelRig(**manifest.rig.model_dump()),
         frames=manifest.frames,
         final_step=manifest.final_step,
         trained_horizon=manifest.trained_horizon,

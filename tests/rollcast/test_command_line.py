@@ -21,8 +21,13 @@ class Service(httpx2.BaseTransport):
 
     def __init__(self):
         self.requests = []
+        self.known = {}
 
     def handle_request(self, request):
+        if request.method == "GET":
+            about = {"name": "dot", "version": 3, "status": "ready", "versions": [3]}
+            told = {"licence": None, "card": None, **about, **self.known}
+            return httpx2.Response(200, content=json.dumps(told))
         body = request.read()
         self.requests.append(body)
         horizon, rate = int(field(body, "horizon")), float(field(body, "frame_rate"))
@@ -88,6 +93,18 @@ def write_images(folder, count):
     for number, path in enumerate(paths):
         Image.fromarray(np.full((SIDE, 80, 3), 10 * number, np.uint8)).save(path)
     return paths
+
+
+def test_a_model_for_footage_gets_what_it_knows(run, service, video):
+    rig = {"colors": ["#ff0000"], "crop": [20, 4, 60]}
+    service.known = {"scenarios": ["footage"], "frame_rate_hz": 30.0, "rig": rig}
+    code, printed, errors = run(video, "--model", "dot@3", "--horizon", 2)
+    assert (code, errors) == (0, "")
+    lines = printed.splitlines()
+    assert lines[0] == "dot@3: four frames from 0.000 s to 0.100 s (30 a second), crop 20,4,60"
+    assert lines[-1] == "warning: beware", "nothing is blended"
+    _, printed, _ = run(video, "--model", "dot", "--horizon", 2, "--crop", "0,0,64", "--every", 2)
+    assert "(15 a second), crop 0,0,64" in printed.splitlines()[0]
 
 
 def test_a_video(run, service, video, tmp_path):
@@ -183,7 +200,7 @@ DRAWN = "is not a .png, .jpg, .jpeg, .webp, .mp4, .webm, .gif file"
         (["clip.mp4", "--rate", "0"], "0 is not a number of frames a second"),
         (["clip.mp4", "--horizon", "0"], "0 is not a whole number from 1 to 1000"),
         (["clip.mp4", "--horizon", "1.5"], "1.5 is not a whole number from 1 to 1000"),
-        (["clip.mp4", "--objects", "4"], "4 is not a whole number from 1 to 3"),
+        (["clip.mp4", "--objects", "5"], "5 is not a whole number from 1 to 4"),
         (["clip.mp4", "--scenario", "box"], "box"),
         (["clip.mp4", "--format", "xml"], "xml"),
         (["clip.mp4", "--url", "127.0.0.1:8000"], "is not an address like http://127.0.0.1:8000"),

@@ -93,13 +93,13 @@ def test_a_video_tells_its_own_rate(run, video):
 
 
 def test_what_is_asked_of_the_service(run, service, images):
-    options = ["--objects", 2, "--scenario", "ellipsoid", "--model", "posnet", "--horizon", 7]
+    options = ["--objects", 2, "--scenario", "ellipsoid", "--model", "fake", "--horizon", 7]
     assert run(images, *options)[0] == 0
     fields = service.asked[-1].fields
     assert {name: fields[name] for name in ("objects", "scenario", "model", "horizon")} == {
         "objects": "2",
         "scenario": "ellipsoid",
-        "model": "posnet",
+        "model": "fake",
         "horizon": "7",
     }
 

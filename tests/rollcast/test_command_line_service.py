@@ -310,9 +310,9 @@ Usage: rollcast predict [OPTIONS] {VIDEO|FOLDER|IMAGES}...
 
 Arguments:
   VIDEO|FOLDER|IMAGES <list[Path]>
-                                  a video, of which four frames are read, 40 a second (blended
-                                  where the camera took none); or a folder of images, or at least
-                                  four images  [required]
+                                  a video, of which four frames are read, 40 a second or as the
+                                  model knows them (blended where the camera took none); or a
+                                  folder of images, or at least four images  [required]
 
 Options:
   --start SECONDS                 time of the first of the four frames in the video (default: 0)
@@ -329,7 +329,7 @@ Options:
                                   --final up to that frame)
   --model NAME                    auto, NAME or NAME@VERSION  [default: auto]
   --objects BALLS                 how many balls there are (default: the model's, with auto 1)
-  --scenario <hemisphere|ellipsoid|heightfield>
+  --scenario <hemisphere|ellipsoid|heightfield|footage>
                                   let auto choose among models made for it
   --url ADDRESS                   address of the service  [default: http://127.0.0.1:8000]
   --format <table|json|csv>       how to print it  [default: table]

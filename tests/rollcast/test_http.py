@@ -17,7 +17,7 @@ def test_frames_are_decoded_from_base64():
         "auto",
         None,
         None,
-        40,
+        None,
     )
 
 

@@ -19,7 +19,10 @@ def forecast(objects=1, steps=41, variance=4.0):
     positions = np.stack([np.stack([x, np.full(steps, 30 + 20 * k)], -1) for k in range(objects)])
     covariances = np.broadcast_to(np.diag([variance, 4 * variance]), (objects, steps, 2, 2))
     return SimpleNamespace(
-        positions=positions.astype(float), covariances=covariances, times_s=np.arange(steps) / 40
+        positions=positions.astype(float),
+        covariances=covariances,
+        times_s=np.arange(steps) / 40,
+        frame_rate=40.0,
     )
 
 

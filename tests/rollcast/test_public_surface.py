@@ -102,8 +102,8 @@ class AsyncClient(
         final_frame: Frame | None = None,
         final_step: int | None = None,
         objects: int | None = None,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield']] = None,
-        frame_rate: float = 40,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'footage']] = None,
+        frame_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
     ) -> rollcast.client.results.Forecast
     async def predict_many(
@@ -176,8 +176,8 @@ class Client(
         final_frame: Frame | None = None,
         final_step: int | None = None,
         objects: int | None = None,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield']] = None,
-        frame_rate: float = 40,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'footage']] = None,
+        frame_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
     ) -> rollcast.client.results.Forecast
     def predict_many(
@@ -217,7 +217,7 @@ class Forecast(
         angular_velocities: jaxtyping.Float64[ndarray, 'objects T 3'] | None,
         final_positions: jaxtyping.Float64[ndarray, 'objects 2'] | None,
         times_s: jaxtyping.Float64[ndarray, 'T'],
-        colors: tuple[Literal['red', 'green', 'blue'], ...],
+        colors: tuple[Union[Literal['red', 'green', 'blue'], Annotated[str, FieldInfo(annotation=NoneType, required=True, metadata=[_PydanticGeneralMetadata(pattern='^#[0-9a-f]{6}$')])]], ...],
         model: rollcast.http.ModelReference,
         frame_size: tuple[int, int],
         frame_rate: float,

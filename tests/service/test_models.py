@@ -11,6 +11,8 @@ def test_every_version_is_listed_with_its_status(client):
         "preset": "fake",
         "scenarios": ["hemisphere", "ellipsoid", "heightfield"],
         "objects": 1,
+        "frame_rate_hz": 40.0,
+        "rig": None,
         "frames": 4,
         "final_step": None,
         "trained_horizon": 20,

@@ -11,12 +11,13 @@ from rollcast.manifest import EYE_FILE, MANIFEST_FILE, Manifest
 from tests.training.conftest import tiny
 from training.artefact import load_exported, read_initial, read_parameters
 from training.evaluate import evaluation_sets
-from training.export import Trained, export, fit_covariance, measure_parity, with_covariance
+from training.export import export, fit_covariance, measure_parity, with_covariance
 from training.initial import load_fitting
 from training.metrics import Forecasts
 from training.models.eye import EyedNetwork
 from training.recipes.compact import one_ball, one_ball_between
 from training.recipes.field import field_one_ball
+from training.trained import Trained
 
 ROOT = Path(__file__).parents[2]
 

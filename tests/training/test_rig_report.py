@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from rollcast.footage import SquareCrop
 from training.clips import Clip, Clips
 from training.recipes import RECIPES
 from training.rig_report import T_GEN, T_TRAIN, Measured, Rig, markdown, measure
@@ -25,7 +26,15 @@ def straight(seed: int) -> Clip:
         )
     ]
     frames = generator.integers(0, 256, (FRAMES, 128, 128, 3), dtype=np.uint8)
-    return Clip(f"clip{seed}", frames, np.stack(ways), np.zeros(FRAMES, bool), 30.0)
+    return Clip(
+        f"clip{seed}",
+        frames,
+        np.stack(ways),
+        np.zeros(FRAMES, bool),
+        30.0,
+        SquareCrop(0, 0, 128),
+        ("#ff0000", "#0000ff"),
+    )
 
 
 @pytest.fixture

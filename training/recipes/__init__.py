@@ -21,7 +21,7 @@ from training.recipes.field import (
 )
 from training.recipes.paper import paper_posnet
 from training.recipes.recipe import Recipe
-from training.recipes.rig import rig
+from training.recipes.rig import rig, rig_rolling
 from training.recipes.sighted import (
     sighted_one_ball,
     sighted_one_ball_between,
@@ -57,4 +57,8 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "rig-2-balls": partial(rig, 2),
     "rig-3-balls": partial(rig, 3),
     "rig-4-balls": partial(rig, 4),
+    "rig-one-ball-rolling": partial(rig_rolling, 1),
+    "rig-2-balls-rolling": partial(rig_rolling, 2),
+    "rig-3-balls-rolling": partial(rig_rolling, 3),
+    "rig-4-balls-rolling": partial(rig_rolling, 4),
 }
