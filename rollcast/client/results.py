@@ -24,7 +24,7 @@ from rollcast.http import (
     StreamDone,
     StreamStep,
 )
-from rollcast.scene import BallColor, Color, Scene
+from rollcast.scene import Color, Scene
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -73,7 +73,7 @@ class Forecast:
     """Pixels: where the final frame was seen to show the balls; None without one."""
     times_s: Float64[np.ndarray, " T"]
     """Seconds after the last observed frame."""
-    colors: tuple[BallColor, ...]
+    colors: tuple[str, ...]
     """Of each object."""
     model: ModelReference
     """The model that answered."""

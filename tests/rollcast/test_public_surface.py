@@ -217,7 +217,7 @@ class Forecast(
         angular_velocities: jaxtyping.Float64[ndarray, 'objects T 3'] | None,
         final_positions: jaxtyping.Float64[ndarray, 'objects 2'] | None,
         times_s: jaxtyping.Float64[ndarray, 'T'],
-        colors: tuple[Union[Literal['red', 'green', 'blue'], Annotated[str, FieldInfo(annotation=NoneType, required=True, metadata=[_PydanticGeneralMetadata(pattern='^#[0-9a-f]{6}$')])]], ...],
+        colors: tuple[str, ...],
         model: rollcast.http.ModelReference,
         frame_size: tuple[int, int],
         frame_rate: float,
