@@ -3,6 +3,8 @@
 import base64
 import io
 import json
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import av
@@ -13,6 +15,7 @@ from playwright.sync_api import Page, expect
 
 from rollcast.client import Client, Simulation
 from tests.browser.conftest import OpenPage, figures, pixels, until_forecast
+from tests.e2e.conftest import ROOT, serving
 
 SIZE, LEFT, TOP = 240, 52, 8
 """The frames stand in a larger picture, so that there is something to crop."""
@@ -117,6 +120,45 @@ def test_a_dropped_video(page: Page, scene: Simulation, clips, rate: int, within
     expect(page.locator("#badge")).to_have_text("+0.975 s")
     assert pixels(page) != first
     expect(page.locator("#surface-note")).to_contain_text("Nobody knows the ground")
+
+
+@pytest.fixture(scope="module")
+def rigs(tmp_path_factory) -> Iterator[str]:
+    """A service with a committed model that passes for one of a set-up, and as itself."""
+    folder = tmp_path_factory.mktemp("models")
+    shutil.copytree(ROOT / "models" / "fieldnet" / "1", folder / "fieldnet" / "1")
+    about = {"colors": ["#ff8800"], "crop": [LEFT, TOP, SIZE]}
+    for name, rate in (("table", 40.0), ("slow", 20.0)):
+        shutil.copytree(ROOT / "models" / "fieldnet" / "1", folder / name / "1")
+        file = folder / name / "1" / "manifest.json"
+        told = json.loads(file.read_text())
+        told |= {"name": name, "scenarios": ["footage"], "frame_rate_hz": rate, "rig": about}
+        file.write_text(json.dumps(told))
+    with serving(ROLLCAST_MODELS_DIR=str(folder)) as address:
+        yield address
+
+
+def test_the_model_of_a_set_up_says_how_it_is_filmed(
+    open_page: OpenPage, rigs: str, scene: Simulation, clips
+):
+    page = open_page(rigs)
+    until_forecast(page)
+    expect(page.locator("#models")).not_to_contain_text("table")
+    drop(page, clips[40])
+    expect(page.locator("#models")).to_contain_text("own set-up")
+    assert page.input_value("#crop-size") == "256", "auto is none of a set-up"
+    page.check('#models input[value="table"]', force=True)
+    page.uncheck('#models input[value="auto"]', force=True)
+    expect(page.locator("#crop-size")).to_have_value(str(SIZE))
+    assert (page.input_value("#crop-x"), page.input_value("#crop-y")) == (str(LEFT), str(TOP))
+    errors = np.linalg.norm(forecast_of(page) - scene.positions[0, 3:43], axis=-1)
+    assert errors[:20].mean() < 4, errors
+    expect(page.locator("#legend .ball")).to_have_css("background-color", "rgb(255, 136, 0)")
+    page.check('#models input[value="slow"]', force=True)
+    page.uncheck('#models input[value="table"]', force=True)
+    expect(page.locator("#spacing")).to_have_value("50")
+    expect(page.locator("#spacing-hint")).to_contain_text("20 frames a second")
+    expect(page.locator("#horizon-text")).to_have_text("40 steps, 2.00 s")
 
 
 def test_where_it_starts(page: Page, scene: Simulation, clips):

@@ -88,9 +88,9 @@ ASKED = [
 
 
 @contextmanager
-def serving() -> Iterator[str]:
+def serving(**settings: str) -> Iterator[str]:
     """Run the service until it is no longer needed; yield its address once it is ready."""
-    process, address = start_service()
+    process, address = start_service(**settings)
     with Client(address) as client:
         wait_until_ready(client)
     yield address

@@ -50,4 +50,7 @@ def rig_rolling(objects: int) -> Recipe:
         taught=("eye.",),
         rehearsal=24_000,
         batch_size=128,
+        learning_rate=1e-4,
+        gradient_clip=0.5,
+        average_decay=0.99,
     )

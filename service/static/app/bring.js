@@ -15,6 +15,8 @@ export class Bring {
     this._listener = listener;
     this.footage = null;
     this.crop = { x: 0, y: 0, size: 128 };
+    /** What the models know: frames a second and, of one set-up, the square that they saw. */
+    this.known = { rate: 40, crop: null };
     this._editor = new CropEditor((crop) => this._cropped(crop));
     this._listen();
   }
@@ -25,7 +27,32 @@ export class Bring {
       startS: Number(byId("start").value),
       spacingS: Math.max(Number(byId("spacing").value) || 25, 0.1) / 1000,
       crop: this.crop,
+      knownRate: this.known.rate,
     };
+  }
+
+  /**
+   * Take the frames as a model knows them.
+   * @param {{rate: number, crop: number[] | null}} known
+   * @returns {boolean} whether that changes anything
+   */
+  suit(known) {
+    if (JSON.stringify(known) === JSON.stringify(this.known)) return false;
+    this.known = known;
+    this._suit();
+    return true;
+  }
+
+  _suit() {
+    const { rate, crop } = this.known;
+    byId("spacing").value = String(Number((1000 / rate).toFixed(2)));
+    byId("spacing-hint").textContent =
+      `The model knows ${byId("spacing").value} ms, ${Number(rate.toFixed(2))} frames a second. ` +
+      "Frames that a camera did not take are blended.";
+    if (!crop || !this.footage) return;
+    const [x, y, size] = crop;
+    this.crop = inside({ x, y, size }, this.footage.width, this.footage.height);
+    this._showCrop();
   }
 
   /** @param {File[]} files */
@@ -42,8 +69,8 @@ export class Bring {
     byId("footage-settings").hidden = false;
     byId("image-rate-field").hidden = this.footage.kind === "video";
     byId("image-rate").value = "40";
-    byId("spacing").value = "25";
     byId("start").value = "0";
+    this._suit();
     this._describe();
     this._showCrop();
     this._listener.opened();

@@ -1,7 +1,7 @@
 /** The form of choices: what the user does with it, and what it says. */
 
 import { byId } from "./dom.js";
-import { finalStepOf, isServed, showModels, stillFitting } from "./models.js";
+import { finalStepOf, isServed, rateOf, showModels, stillFitting } from "./models.js";
 
 const SCENARIOS = ["hemisphere", "ellipsoid", "heightfield"];
 const RADIOS = { source: String, scenario: String, balls: Number };
@@ -19,7 +19,9 @@ export function installControls(store) {
   byId("dice").addEventListener("click", () => {
     store.set({ seed: String(Math.floor(Math.random() * 100_000)) });
   });
-  byId("horizon").addEventListener("input", () => showHorizon(Number(byId("horizon").value)));
+  byId("horizon").addEventListener("input", () => {
+    showHorizon(Number(byId("horizon").value), Number(byId("horizon").dataset.rate));
+  });
   byId("horizon").addEventListener("change", () => {
     store.set({ horizon: Number(byId("horizon").value) });
   });
@@ -78,7 +80,8 @@ export function showControls(choices, entries, store) {
 
 function showBalls(choices, entries) {
   const served = (balls) => isServed(entries, { ...choices, balls, finalFrame: false });
-  for (const balls of [1, 2, 3]) byId(`balls-${balls}`).disabled = !served(balls);
+  for (const balls of [1, 2, 3, 4]) byId(`balls-${balls}`).disabled = !served(balls);
+  byId("balls-4").parentElement.hidden = !served(4); // no scene has them
   const absent = [2, 3].filter((balls) => !served(balls));
   const elsewhere = SCENARIOS.filter((scenario) =>
     absent.some((balls) => isServed(entries, { ...choices, scenario, balls, finalFrame: false })),
@@ -102,11 +105,13 @@ function showFinal(choices, entries) {
   byId("horizon").disabled = choices.finalFrame;
   const horizon = choices.finalFrame ? finalStep + 1 : choices.horizon;
   byId("horizon").value = String(horizon);
-  showHorizon(horizon);
+  const rate = rateOf(entries, choices);
+  byId("horizon").dataset.rate = String(rate);
+  showHorizon(horizon, rate);
 }
 
-function showHorizon(steps) {
-  byId("horizon-text").textContent = `${steps} steps, ${(steps / 40).toFixed(2)} s`;
+function showHorizon(steps, rate) {
+  byId("horizon-text").textContent = `${steps} steps, ${(steps / rate).toFixed(2)} s`;
 }
 
 function summaryOf({ source, scenario, seed, balls, models }) {

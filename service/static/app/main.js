@@ -7,7 +7,7 @@ import { installControls, possible, showControls } from "./controls.js";
 import { byId } from "./dom.js";
 import { signedSeconds } from "./figures.js";
 import { clearMessages, showError, showWait } from "./messages.js";
-import { finalStepOf } from "./models.js";
+import { finalStepOf, leading, rateOf } from "./models.js";
 import { Player } from "./player.js";
 import { showFigures, showHealth, showLegend, showNotes } from "./readout.js";
 import { Session } from "./session.js";
@@ -50,6 +50,7 @@ const session = new Session({
 const bring = new Bring({
   opened() {
     clearMessages();
+    suit(store.get());
     if (store.get().source === "footage") edit();
     else store.set({ source: "footage" });
   },
@@ -127,6 +128,15 @@ function begin(choices, horizon) {
   player.seek(0);
   if (CALM.matches) player.seek(player.last);
   else player.play();
+}
+
+/** Take the footage as the model that is chosen knows it: its rate and, of a set-up, its square. */
+function suit(choices) {
+  const wish = { ...choices, source: "footage" };
+  return bring.suit({
+    rate: rateOf(entries, wish),
+    crop: leading(entries, wish)?.rig?.crop ?? null,
+  });
 }
 
 function edit() {
@@ -219,7 +229,8 @@ store.subscribe((choices, before) => {
   const asked = (all) => JSON.stringify({ ...all, ...Object.fromEntries(LOOKS.map((name) => [name, 0])) });
   if (asked(choices) === asked(lastShown ?? before)) requestShow();
   else if (choices.source === "footage") {
-    if (bring.footage && (editing || before.source !== "footage")) edit();
+    const isOther = suit(choices);
+    if (bring.footage && (editing || isOther || before.source !== "footage")) edit();
     else if (bring.footage) run();
     else empty();
   } else {

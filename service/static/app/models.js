@@ -23,6 +23,25 @@ export function fitting(entries, { source, scenario, balls, finalFrame }) {
     .sort((a, b) => errorOf(a) - errorOf(b));
 }
 
+/** Frames a second of what every simulation shows, and of models that do not tell. */
+export const FRAME_RATE_HZ = 40;
+
+/**
+ * The model that the frames are made for: the first one chosen. "auto" takes one for footage only
+ * where no other forecasts so many balls.
+ */
+export function leading(entries, choices) {
+  const found = fitting(entries, choices);
+  const [name] = choices.models;
+  if (name !== AUTO) return found.find((entry) => labelOf(entry) === name) ?? null;
+  return found.find((entry) => !entry.rig) ?? found[0] ?? null;
+}
+
+/** Steps a second of forecasts. */
+export function rateOf(entries, choices) {
+  return leading(entries, choices)?.frame_rate_hz ?? FRAME_RATE_HZ;
+}
+
 /** Whether anything is served for a number of balls in a scenario. */
 export function isServed(entries, choices) {
   return fitting(entries, choices).length > 0;
@@ -59,8 +78,8 @@ export function showModels(entries, choices, chose) {
     { name: AUTO, about: "the best that fits" },
     ...fitting(entries, choices).map((entry) => ({
       name: labelOf(entry),
-      about: `${errorOf(entry).toFixed(2)} px`,
-      title: `${entry.variant}, ${entry.preset}: mean error on validation scenes up to its trained horizon of ${entry.trained_horizon} steps, in 128-pixel frames`,
+      about: `${entry.rig ? "own set-up, " : ""}${errorOf(entry).toFixed(2)} px`,
+      title: `${entry.variant}, ${entry.preset}: mean error on validation data up to its trained horizon of ${entry.trained_horizon} steps, in 128-pixel frames`,
     })),
   ];
   const list = byId("models");

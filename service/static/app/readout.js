@@ -7,10 +7,8 @@ import { LAST_SEEN } from "./state.js";
 
 /** Who draws in which colour and with which mark. */
 export function showLegend(forecasts, hasTruth) {
-  const chips = forecasts.map(({ slot, label }) => {
-    const chip = make("span", { class: "chip", "aria-hidden": "true" }, MARKS[slot]);
-    chip.dataset.slot = String(slot);
-    return make("span", {}, chip, label);
+  const chips = forecasts.map(({ slot, label, done }) => {
+    return make("span", {}, chipOf(slot), label, ...ballsOf(done));
   });
   if (hasTruth) {
     const chip = make("span", { class: "chip", "aria-hidden": "true" }, "○");
@@ -41,6 +39,16 @@ export function showFigures(forecasts, truth, index) {
     return make("tr", {}, name, ...cells);
   });
   byId("figures").tBodies[0].replaceChildren(...rows);
+}
+
+/** The balls of somebody's own set-up, in the order of a forecast's objects. */
+function ballsOf(done) {
+  const balls = (done?.objects ?? []).filter(({ color }) => color.startsWith("#"));
+  return balls.map(({ id, color }) => {
+    const ball = make("span", { class: "ball", title: `ball ${id}: ${color}` });
+    ball.style.backgroundColor = color;
+    return ball;
+  });
 }
 
 function chipOf(slot) {

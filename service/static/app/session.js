@@ -106,7 +106,7 @@ export class Session {
       if (!(await next())) throw new FootageError(tooShort(take, needed, wanted));
     }
     take.frameSize = take.frames[0].width;
-    take.notes = footageNotes(take.rate, blendedS);
+    take.notes = footageNotes(take.rate, wanted.knownRate, blendedS);
     take.sent = await Promise.all(take.frames.map((frame) => pngOf(frame)));
     this.take = take;
     this.forecasts = [];
@@ -243,7 +243,7 @@ function tooShort(take, needed, { startS, spacingS }) {
   );
 }
 
-function footageNotes(rate, blendedS) {
+function footageNotes(rate, knownRate, blendedS) {
   const notes = [];
   if (blendedS > 0) {
     const apart = `${Math.round(blendedS * 1000)} ms apart`;
@@ -252,8 +252,9 @@ function footageNotes(rate, blendedS) {
       `The camera took no frames at these times: they are blended from those before and after, ${apart}${long}.`,
     );
   }
-  if (Math.abs(rate / 40 - 1) > 0.05) {
-    notes.push(`The models know 40 frames a second; these are ${rate.toFixed(1)} a second.`);
+  if (Math.abs(rate / knownRate - 1) > 0.05) {
+    const known = Number(knownRate.toFixed(2));
+    notes.push(`The models know ${known} frames a second; these are ${rate.toFixed(1)} a second.`);
   }
   return notes;
 }

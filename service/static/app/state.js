@@ -72,7 +72,7 @@ export function choicesFrom(fragment) {
   if (!["hemisphere", "ellipsoid", "heightfield"].includes(choices.scenario)) {
     choices.scenario = DEFAULTS.scenario;
   }
-  choices.balls = Math.min(Math.max(Math.round(choices.balls) || 1, 1), 3);
+  choices.balls = Math.min(Math.max(Math.round(choices.balls) || 1, 1), 4);
   return choices;
 }
 
