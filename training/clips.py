@@ -41,6 +41,9 @@ UNSEEN: Mapping[Split, float] = {"validation": 0.15, "test": 0.15}
 """Shares of the clips that training does not see, where nobody says which."""
 EVERY = 5
 """Frames between the windows of a clip that figures are of."""
+LIGHT = 0.05
+"""Standard deviation of the factors by which training brightens each colour of a window: light
+and cameras' settings change from clip to clip."""
 MISSED_FRAME = 1.5
 """Times between frames, in multiples of the usual one, from which one is missing."""
 
@@ -186,9 +189,12 @@ class ClipStream(IterableDataset[Batch]):
             rows = generator.integers(len(self._places), size=self._batch_size)
             turns = generator.integers(4, size=self._batch_size)
             mirrors = generator.integers(2, size=self._batch_size)
+            lights = 1 + LIGHT * generator.standard_normal((self._batch_size, 3))
             yield collate(
                 [
-                    Symmetry(int(turns[row]), bool(mirrors[row])).apply(self._window(rows[row]))
+                    Symmetry(int(turns[row]), bool(mirrors[row])).apply(
+                        _in_other_light(self._window(rows[row]), lights[row])
+                    )
                     for row in self._share.of(self._batch_size)
                 ]
             )
@@ -345,6 +351,12 @@ def _squares(source: Path, crop: SquareCrop) -> Iterator[UInt8[np.ndarray, "S S 
     else:
         for moment in every_frame(source):
             yield crop.cut(moment.picture)
+
+
+def _in_other_light(window: Window, factors: Float[np.ndarray, "3"]) -> Window:
+    """Brighten the frames of a window, all of them alike."""
+    brightened = (window.frames * factors.astype(np.float32)).clip(0, 255)
+    return window._replace(frames=brightened.round().astype(np.uint8))
 
 
 def _scenery(positions: Float[np.ndarray, "balls frames 2"]) -> Scenery:

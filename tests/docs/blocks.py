@@ -16,6 +16,7 @@ SERVER = "is the server that the other blocks ask"
 DOCKER = "needs a Docker engine; make image-test builds and runs the images"
 CLUSTER = "needs a cluster; make image-test judges the manifests, make cluster-test runs Ray"
 TRACKS = "tracks three clips for minutes; tests/rollcast/tracking does so with small ones"
+TRAINED = "needs a model that was trained on clips; tests/training/test_rig_export.py serves one"
 HOURS = "works for minutes to days; its arguments are parsed"
 MAKES = "makes environments, then runs for minutes"
 
@@ -36,6 +37,16 @@ NOT_RUN = {
     ("research.md", "python -m training train field-one-ball"): HOURS,
     ("rig.md", "rollcast track clip1.mp4 clip2.mp4 clip3.mp4 --balls 2 --out rig"): TRACKS,
     ("rig.md", "python -m training train rig-2-balls --data rig --init models/fieldnet-2/1"): HOURS,
+    (
+        "rig.md",
+        "python -m training train rig-2-balls-seeing --data rig --init runs/rig-2-balls",
+    ): HOURS,
+    ("rig.md", "python -m training rig rig-2-balls-rolling --data rig"): HOURS,
+    ("rig.md", "rollcast predict clip3.mp4 --start 2 --model table --out forecast.mp4"): TRAINED,
+    (
+        "rig.md",
+        'forecast = client.predict(frames, model="table")  # four frames, cut as in setup.json',
+    ): TRAINED,
 }
 """By page and first line. Nothing else is left out."""
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from functools import partial
 
+from rollcast.scene import MAX_FORECAST_OBJECTS
 from training.recipes.compact import (
     one_ball,
     one_ball_between,
@@ -21,7 +22,7 @@ from training.recipes.field import (
 )
 from training.recipes.paper import paper_posnet
 from training.recipes.recipe import Recipe
-from training.recipes.rig import rig, rig_rolling
+from training.recipes.rig import rig, rig_rolling, rig_seeing
 from training.recipes.sighted import (
     sighted_one_ball,
     sighted_one_ball_between,
@@ -53,12 +54,9 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "sighted-2-balls-between": partial(sighted_several_balls_between, 2),
     "sighted-3-balls-between": partial(sighted_several_balls_between, 3),
     "paper-posnet": paper_posnet,
-    "rig-one-ball": partial(rig, 1),
-    "rig-2-balls": partial(rig, 2),
-    "rig-3-balls": partial(rig, 3),
-    "rig-4-balls": partial(rig, 4),
-    "rig-one-ball-rolling": partial(rig_rolling, 1),
-    "rig-2-balls-rolling": partial(rig_rolling, 2),
-    "rig-3-balls-rolling": partial(rig_rolling, 3),
-    "rig-4-balls-rolling": partial(rig_rolling, 4),
+    **{
+        stage(objects).name: partial(stage, objects)
+        for stage in (rig, rig_seeing, rig_rolling)
+        for objects in range(1, MAX_FORECAST_OBJECTS + 1)
+    },
 }

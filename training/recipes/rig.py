@@ -35,6 +35,24 @@ def rig(objects: int) -> Recipe:
     )
 
 
+def rig_seeing(objects: int) -> Recipe:
+    """Train the eye alone, of a network that :func:`rig` has trained (``--init``).
+
+    From frames alone an eye learns several times as fast.
+    """
+    recipe = rig(objects)
+    assert recipe.explicit is not None
+    horizons = (Milestone(0, 1),)
+    return replace(
+        recipe,
+        name=f"{recipe.name}-seeing",
+        curriculum=horizons,
+        explicit=replace(recipe.explicit, curriculum=horizons),
+        taught=("rolling.", "first_doubt."),
+        average_decay=0.995,
+    )
+
+
 def rig_rolling(objects: int) -> Recipe:
     """Train the motion alone, over what a taught eye reads (``--init``).
 
