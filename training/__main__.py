@@ -11,7 +11,7 @@ from types import ModuleType
 from rollcast.errors import FootageError
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from rollcast.scene import SCENARIOS
-from training import calibration, campaign
+from training import calibration, campaign, real
 from training.artefact import initial_networks, load_exported
 from training.clips import Clips, rig_clips
 from training.dissect import dissected, dissection_table
@@ -117,6 +117,12 @@ def _parser() -> argparse.ArgumentParser:
         "--baselines", nargs="*", choices=BASELINES, default=list(BASELINES), help="default: all"
     )
     rig.set_defaults(run=_rig)
+
+    footage = commands.add_parser(
+        "real", help="track, train and measure docs/results/real.md, where its clips are"
+    )
+    footage.add_argument("clips", type=Path, metavar="FOLDER", help="the clips that it names")
+    footage.set_defaults(run=_real)
 
     curve = commands.add_parser("curve", help="draw the loss and the validation errors of a run")
     curve.add_argument("recipe", choices=sorted(RECIPES))
@@ -313,7 +319,21 @@ def _rig(arguments: argparse.Namespace) -> None:
     rig = Rig(clips)
     there = (runs_folder() / recipe.name / BEST).exists()
     rows = list(measure(rig, arguments.baselines, [recipe] if there else []))
-    print(markdown(rows, len(rig.places["test"])))
+    print(markdown(rows, rig))
+
+
+def _real(arguments: argparse.Namespace) -> None:
+    missing = [
+        file
+        for filmed in (real.ARENA, *real.POOL)
+        for file in filmed.clips
+        if not (arguments.clips / file).exists()
+    ]
+    if missing:
+        print(f"skipped: {arguments.clips} has no {', '.join(missing)}")
+        return
+    for done in real.make(arguments.clips, DOCS / "results" / "real.md"):
+        print(done, flush=True)
 
 
 def _curve(arguments: argparse.Namespace) -> None:

@@ -25,6 +25,17 @@ class Forecasts:
     true_positions: Float[np.ndarray, "sequences objects steps 2"]
     true_angular_velocities: Float[np.ndarray, "sequences objects steps 3"]
 
+    def of_balls(self, chosen: slice) -> "Forecasts":
+        """Return those of some balls alone."""
+        covariances, spins = self.covariances, self.angular_velocities
+        return Forecasts(
+            self.positions[:, chosen],
+            None if covariances is None else covariances[:, chosen],
+            None if spins is None else spins[:, chosen],
+            self.true_positions[:, chosen],
+            self.true_angular_velocities[:, chosen],
+        )
+
     def errors_px(self) -> Float[np.ndarray, "sequences objects steps"]:
         """Distance to the truth at every step."""
         return np.linalg.norm(self.positions - self.true_positions, axis=-1)

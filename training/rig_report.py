@@ -51,16 +51,35 @@ class Measured(NamedTuple):
 
 
 class Rig:
-    """Clips by split, and the windows that everybody is measured on."""
+    """Clips by split, and the windows that everybody is measured on.
 
-    def __init__(self, clips: Mapping[Split, Clips]) -> None:
+    Parameters
+    ----------
+    horizon
+        Steps of a window.
+    every
+        Frames between windows.
+    """
+
+    def __init__(
+        self, clips: Mapping[Split, Clips], horizon: int = T_GEN, every: int = EVERY
+    ) -> None:
         self.clips = clips
+        self.horizon = horizon
+        self.every = every
         self.objects = clips["training"].objects
-        self.places = {split: clips[split].places(T_GEN, EVERY) for split in ("validation", "test")}
+        self.places = {
+            split: clips[split].places(horizon, every) for split in ("validation", "test")
+        }
+
+    @property
+    def moments(self) -> tuple[int, ...]:
+        """Values of T that are compared."""
+        return tuple(t for t in (T_TRAIN, T_GEN) if t <= self.horizon)
 
     def windows(self, split: Split) -> list[Window]:
         """Return the windows of a split, with frames."""
-        return [self.clips[split].window(place, T_GEN) for place in self.places[split]]
+        return [self.clips[split].window(place, self.horizon) for place in self.places[split]]
 
     def histories(self, split: Split) -> np.ndarray:
         """Return the first ten positions of every window, as Linear and Quadratic are given."""
@@ -68,7 +87,7 @@ class Rig:
 
     def states(self, split: Split) -> States:
         """Return every window as states."""
-        return _states(self.clips[split], self.places[split], FIRST_FORECAST_FRAME + T_GEN)
+        return _states(self.clips[split], self.places[split], FIRST_FORECAST_FRAME + self.horizon)
 
 
 def measure(rig: Rig, baselines: Sequence[str], trained: Sequence[Recipe]) -> Iterator[Measured]:
@@ -82,24 +101,26 @@ def measure(rig: Rig, baselines: Sequence[str], trained: Sequence[Recipe]) -> It
         Recipes whose runs are there, for as many balls as the rig has.
     """
     for name in baselines:
-        yield from _rows(name, BASELINES[name](rig))
+        yield from rows_of(name, BASELINES[name](rig), rig.moments)
     for recipe in trained:
-        yield from _rows(recipe.name, _network(rig, recipe))
+        yield from rows_of(recipe.name, _network(rig, recipe), rig.moments)
 
 
-def _rows(method: str, made: Forecasts) -> Iterator[Measured]:
+def rows_of(method: str, made: Forecasts, moments: Sequence[int]) -> Iterator[Measured]:
     """Yield the row of all balls and, where there are several, that of the first one."""
+    yield _measured(method, "all", made, moments)
+    if made.positions.shape[1] > 1:
+        yield _measured(method, "first", made.of_balls(slice(1)), moments)
+
+
+def _measured(method: str, balls: str, made: Forecasts, moments: Sequence[int]) -> Measured:
     errors, inside = made.errors_px(), made.calibration((0.5, 0.95))
-    chosen = {"all": slice(None)} if errors.shape[1] == 1 else {"all": slice(None), "first": [0]}
-    for balls, which in chosen.items():
-        yield Measured(
-            method,
-            balls,
-            {t: mean_error(errors[:, which, t - 1]) for t in (T_TRAIN, T_GEN)},
-            None
-            if inside is None
-            else {t: (inside[0.5][t - 1], inside[0.95][t - 1]) for t in (T_TRAIN, T_GEN)},
-        )
+    return Measured(
+        method,
+        balls,
+        {t: mean_error(errors[:, :, t - 1]) for t in moments},
+        None if inside is None else {t: (inside[0.5][t - 1], inside[0.95][t - 1]) for t in moments},
+    )
 
 
 def _network(rig: Rig, recipe: Recipe) -> Forecasts:
@@ -109,7 +130,7 @@ def _network(rig: Rig, recipe: Recipe) -> Forecasts:
     network.load_state_dict(best["weights"][name])
     family, cpu = Family({"it": network}), torch.device("cpu")
     known, unseen = (
-        {"footage": forecast(family, rig.windows(split), T_GEN, cpu)["it"]}
+        {"footage": forecast(family, rig.windows(split), rig.horizon, cpu)["it"]}
         for split in ("validation", "test")
     )
     return with_covariance(unseen, fit_covariance(known))["footage"]
@@ -122,7 +143,7 @@ def _resting(rig: Rig) -> Forecasts:
 
 
 def _least_squares(degree: int, rig: Rig) -> Forecasts:
-    positions = polynomial(rig.histories("test"), degree, T_GEN)
+    positions = polynomial(rig.histories("test"), degree, rig.horizon)
     return beside_truth(rig.windows("test"), positions, None, None)
 
 
@@ -136,7 +157,7 @@ def _ifs(rig: Rig) -> Forecasts:
     )
 
     def made(learner: Learner[States], split: Split) -> Forecasts:
-        positions, _ = learner.forecast(rig.states(split), T_GEN).arrays()
+        positions, _ = learner.forecast(rig.states(split), rig.horizon).arrays()
         return beside_truth(rig.windows(split), positions, None, None)
 
     return _trained(rig, "ifs", partial(Ifs, angular_velocity=False), course, made)
@@ -194,7 +215,7 @@ def _trained(
 def _seen(rig: Rig, learner: Learner[Batch], split: Split) -> Forecasts:
     windows = rig.windows(split)
     parts = [windows[k : k + TOGETHER] for k in range(0, len(windows), TOGETHER)]
-    positions, _ = joined([learner.forecast(collate(part), T_GEN) for part in parts]).arrays()
+    positions, _ = joined([learner.forecast(collate(part), rig.horizon) for part in parts]).arrays()
     return beside_truth(windows, positions, None, None)
 
 
@@ -227,17 +248,16 @@ def _states(clips: Clips, places: Sequence[Place], frames: int) -> States:
     )
 
 
-def markdown(rows: Sequence[Measured], windows: int) -> str:
+def markdown(rows: Sequence[Measured], rig: Rig) -> str:
     """Make the table of a page."""
-    lines = [
-        f"| method | balls | T = {T_TRAIN}: px | T = {T_GEN}: px | in 50 / 95 % at T = {T_TRAIN} | "
-        f"at T = {T_GEN} |",
-        "|---|---|---|---|---|---|",
-    ]
+    moments = rig.moments
+    heads = [f"T = {T}: px" for T in moments] + [f"in 50 / 95 % at T = {T}" for T in moments]
+    lines = [f"| method | balls | {' | '.join(heads)} |", "|---" * (2 + len(heads)) + "|"]
     for row in rows:
         errors = [f"{mean:.1f} ± {spread:.1f}" for mean, spread in row.errors.values()]
-        inside = ["-", "-"]
+        inside = ["-"] * len(moments)
         if row.inside is not None:
             inside = [f"{half:.2f} / {most:.2f}" for half, most in row.inside.values()]
         lines.append(f"| {' | '.join([row.method, row.balls, *errors, *inside])} |")
-    return "\n".join([*lines, "", f"{windows} windows, one every {EVERY} frames."])
+    how_often = "every frame" if rig.every == 1 else f"every {rig.every} frames"
+    return "\n".join([*lines, "", f"{len(rig.places['test'])} windows, one {how_often}."])

@@ -19,8 +19,8 @@ Track the balls of clips that a camera took from above.
 
 The camera stands still and nothing is labelled: up to four balls are found by their shape, motion
 and colours. Clips that are named together are of one set-up, and their balls keep their order. For
-each one the folder gets tracks (.parquet), a report on what to doubt of them (.json) and a film to
-look at (.mp4). Where a ball is not found its track has a gap.
+each one the folder gets tracks (NAME.parquet), a report on what to doubt of them (NAME.json) and a
+film to look at (films/NAME.mp4). Where a ball is not found its track has a gap.
 
 \b
 Examples:
@@ -56,7 +56,9 @@ def track(
     names = [clip.stem for clip in clips]
     if len(set(names)) < len(names):
         raise CommandError(f"two clips are called {max(names, key=names.count)}; name them apart")
-    out.mkdir(parents=True, exist_ok=True)
+    # In a folder of their own: beside the tracks training looks for the clips as they were filmed.
+    films = out / "films"
+    films.mkdir(parents=True, exist_ok=True)
     reports: list[Quality] = []
     palettes = None
     for clip in clips:
@@ -66,7 +68,7 @@ def track(
         tracks.write(out / f"{clip.stem}.parquet")
         (out / f"{clip.stem}.json").write_text(quality.model_dump_json(indent=2) + "\n")
         pictures = counted(overlaid(clip, tracks), quality.frames, f"drawing {clip.name}")
-        write_film(out / f"{clip.stem}.mp4", pictures, quality.frame_rate)
+        write_film(films / f"{clip.stem}.mp4", pictures, quality.frame_rate)
         reports.append(quality)
     return Outcome("\n\n".join(map(_table, reports)), [w for one in reports for w in _doubts(one)])
 

@@ -35,7 +35,10 @@ NOT_RUN = {
         "python -m training evaluate --all        # docs/results: tables, curves, ellipses",
     ): HOURS,
     ("research.md", "python -m training train field-one-ball"): HOURS,
-    ("rig.md", "rollcast track clip1.mp4 clip2.mp4 clip3.mp4 --balls 2 --out rig"): TRACKS,
+    (
+        "rig.md",
+        "rollcast track rig/clip1.mp4 rig/clip2.mp4 rig/clip3.mp4 --balls 2 --out rig",
+    ): TRACKS,
     ("rig.md", "python -m training train rig-2-balls --data rig --init models/fieldnet-2/1"): HOURS,
     (
         "rig.md",

@@ -84,4 +84,6 @@ def test_a_run_is_measured_with_the_ellipses_of_its_validation_clips(rig, tmp_pa
     assert every.inside is not None
     for half, most in every.inside.values():
         assert 0 <= half <= most <= 1
-    assert f"| untrained | first | {first.errors[T_TRAIN][0]:.1f} ±" in markdown([every, first], 5)
+    assert f"| untrained | first | {first.errors[T_TRAIN][0]:.1f} ±" in markdown(
+        [every, first], rig
+    )

@@ -25,7 +25,7 @@ def test_clips_get_tracks_a_report_and_a_film_each(clips, tmp_path, capsys):
         assert (tracks.clip, tracks.balls) == (clip.stem, 2)
         report = json.loads((out / f"{clip.stem}.json").read_text())
         assert report["frames"] == 60
-        assert sum(1 for _ in every_frame(out / f"{clip.stem}.mp4")) == 60
+        assert sum(1 for _ in every_frame(out / "films" / f"{clip.stem}.mp4")) == 60
         assert f"{clip.stem}: 60 frames, 2.0 s, {100 * report['found']:.1f} %" in said
 
 
