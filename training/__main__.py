@@ -113,15 +113,14 @@ def _parser() -> argparse.ArgumentParser:
     rig.add_argument("recipe", choices=[name for name in RECIPES if name.startswith("rig-")])
     rig.add_argument("--data", type=Path, required=True, metavar="FOLDER", help="clips with tracks")
     rig.add_argument("--balls", type=int, nargs="+", metavar="BALL", help="as they were trained")
-    rig.add_argument(
-        "--baselines", nargs="*", choices=BASELINES, default=list(BASELINES), help="default: all"
-    )
+    _add_baselines(rig)
     rig.set_defaults(run=_rig)
 
     footage = commands.add_parser(
         "real", help="track, train and measure docs/results/real.md, where its clips are"
     )
     footage.add_argument("clips", type=Path, metavar="FOLDER", help="the clips that it names")
+    _add_baselines(footage)
     footage.set_defaults(run=_real)
 
     curve = commands.add_parser("curve", help="draw the loss and the validation errors of a run")
@@ -229,6 +228,12 @@ def _add_clips(command: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_baselines(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--baselines", nargs="*", choices=BASELINES, default=list(BASELINES), help="default: all"
+    )
+
+
 def _add_ray(command: argparse.ArgumentParser, what: str) -> None:
     command.add_argument(
         "--ray",
@@ -332,7 +337,8 @@ def _real(arguments: argparse.Namespace) -> None:
     if missing:
         print(f"skipped: {arguments.clips} has no {', '.join(missing)}")
         return
-    for done in real.make(arguments.clips, DOCS / "results" / "real.md"):
+    page = DOCS / "results" / "real.md"
+    for done in real.make(arguments.clips, page, arguments.baselines):
         print(done, flush=True)
 
 

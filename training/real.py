@@ -18,8 +18,8 @@ from training.clips import SETUP_FILE, Clip, Clips, Setup, load_clips
 from training.metrics import forecast
 from training.models.predictor import Family
 from training.recipes.recipe import Milestone, Recipe
-from training.recipes.rig import T_TRAIN, rig, rig_rolling, rig_seeing
-from training.rig_report import BASELINES, Measured, Rig, markdown, measure, rows_of
+from training.recipes.rig import T_TRAIN, rig, rig_continued, rig_seeing
+from training.rig_report import Measured, Rig, markdown, measure, rows_of
 from training.settings import runs_folder
 from training.splits import Split
 from training.trainer import Pace, Trainer
@@ -29,7 +29,12 @@ BEGIN, END = "<!-- made by `python -m training real` -->", "<!-- end of it -->"
 MODELS = Path(__file__).parents[1] / "models"
 ONE_BALL, SEVERAL_BALLS = MODELS / "fieldnet" / "1", MODELS / "fieldnet-3" / "1"
 """What simulation taught."""
-VALIDATE_EVERY = 250
+STAGES = {1: (rig, rig_continued), 4: (rig, rig_seeing, rig_continued)}
+"""Trainings on the arena, each of which goes on from the one before, by number of balls: four that
+look alike are what an eye needs lessons for."""
+SEEING = ("vin", "v-lstm")
+"""Baselines that take hours with four balls: V-LSTM has a network for each."""
+VALIDATE_EVERY = 125
 FEW = 6_400
 """Training sequences where there is but one clip to learn from."""
 
@@ -114,7 +119,7 @@ SHOTS = (Shot(POOL[0], 0, 18, 178), Shot(POOL[1], 1, 27, 49))
 """The third clip's white ball moves for six frames: no forecast fits in."""
 
 
-def make(source: Path, page: Path) -> Iterator[str]:
+def make(source: Path, page: Path, baselines: Sequence[str]) -> Iterator[str]:
     """Track, train and measure what has not been, and write the page; yield what is done.
 
     Parameters
@@ -123,6 +128,8 @@ def make(source: Path, page: Path) -> Iterator[str]:
         Folder of the clips.
     page
         Markdown with the marks BEGIN and END.
+    baselines
+        Of the arena's tables.
     """
     reports: list[tuple[str, Quality]] = []
     for filmed in (ARENA, *POOL):
@@ -130,7 +137,7 @@ def make(source: Path, page: Path) -> Iterator[str]:
         yield f"{filmed.name}: tracked in {filmed.folder}"
     parts = ["## Tracking", tracking_table(reports)]
     for objects, title in ((1, "the red ball, one among four"), (4, "all four balls")):
-        of_arena, rows = arena(objects)
+        of_arena, rows = arena(objects, baselines)
         parts += [f"## Arena: {title}", markdown(rows, of_arena)]
         yield f"arena, {title}: measured"
     for shot in SHOTS:
@@ -172,18 +179,19 @@ def tracking_table(reports: Sequence[tuple[str, Quality]]) -> str:
     return "\n".join(lines)
 
 
-def arena(objects: int) -> tuple[Rig, list[Measured]]:
-    """Measure all methods on the arena's first ball, or on all of them."""
+def arena(objects: int, baselines: Sequence[str]) -> tuple[Rig, list[Measured]]:
+    """Measure baselines and networks on the arena's first ball, or on all of them."""
     balls = None if objects == ARENA.balls else list(range(objects))
     clips: dict[Split, Clips] = {
         split: Clips(some, balls) for split, some in load_clips(ARENA.folder).items()
     }
-    recipes = [stage(objects) for stage in (rig, rig_seeing, rig_rolling)]
+    recipes = [stage(objects) for stage in STAGES[objects]]
     begin = ONE_BALL if objects == 1 else SEVERAL_BALLS
     for recipe in recipes:
         begin = trained(recipe, clips, begin)
     of_arena = Rig(clips)
-    return of_arena, list(measure(of_arena, tuple(BASELINES), recipes))
+    chosen = [name for name in baselines if objects == 1 or name not in SEEING]
+    return of_arena, list(measure(of_arena, chosen, recipes))
 
 
 def left_out(shot: Shot, others: Sequence[Shot]) -> tuple[Rig, list[Measured]]:

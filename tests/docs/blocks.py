@@ -44,7 +44,7 @@ NOT_RUN = {
         "rig.md",
         "python -m training train rig-2-balls-seeing --data rig --init runs/rig-2-balls",
     ): HOURS,
-    ("rig.md", "python -m training rig rig-2-balls-rolling --data rig"): HOURS,
+    ("rig.md", "python -m training rig rig-2-balls-continued --data rig"): HOURS,
     ("rig.md", "rollcast predict clip3.mp4 --start 2 --model table --out forecast.mp4"): TRAINED,
     (
         "rig.md",

@@ -5,6 +5,7 @@ costs; started from a state estimated of four noisy positions, what nobody who s
 frames that exactly can avoid.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,10 +15,15 @@ from jaxtyping import Float
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.scene import Quaternion, Scene, Vector3
 from rollcast.simulation.physics import State, World
+from rollcast.surfaces import HEIGHTFIELD_HALF_WIDTH_M
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 
 ITERATIONS = 4
-"""Of Gauss and Newton; the fit moves by less than a hundredth of a pixel after the third."""
+"""Of Gauss and Newton; after the third the fit moves by less than a hundredth of a pixel."""
+SHARES = (1.0, 0.5, 0.25, 0.125)
+"""Of a step, of which the first is taken that brings the fit nearer."""
+FARTHEST_M = 0.1
+"""Along an axis, from where a ball is seen at t = -3 to where it is taken to be."""
 DIFFERENCES = (1e-3, 1e-2)
 """Steps in metres and metres a second over which the fit's derivatives are taken."""
 _UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
@@ -79,8 +85,8 @@ class Oracle:
         motion = np.concatenate([plane[:, 0], speed], axis=1)
         steps = np.tile(np.repeat(DIFFERENCES, 2), (scene.objects, 1))
         self._world.load(scene)
+        plain = self._seen(scene, motion, frames)
         for _ in range(ITERATIONS):
-            plain = self._seen(scene, motion, frames)
             columns: list[np.ndarray] = []
             for ball, value in np.ndindex(*motion.shape):
                 moved = motion.copy()
@@ -88,8 +94,19 @@ class Oracle:
                 changed = self._seen(scene, moved, frames) - plain
                 columns.append(changed.ravel() / steps[ball, value])
             off = (seen - plain).ravel()
-            change = np.linalg.lstsq(np.stack(columns, axis=1), off)[0]
-            motion = motion + change.reshape(motion.shape)
+            change = np.linalg.lstsq(np.stack(columns, axis=1), off)[0].reshape(motion.shape)
+            # Near walls and over edges the whole step may lead away.
+            for share in SHARES:
+                tried = motion + share * change
+                tried[:, :2] = np.clip(
+                    tried[:, :2], plane[:, 0] - FARTHEST_M, plane[:, 0] + FARTHEST_M
+                )
+                reached = self._seen(scene, tried, frames)
+                if np.linalg.norm(seen - reached) < np.linalg.norm(off):
+                    motion, plain = tried, reached
+                    break
+            else:
+                break
         states = self._rolled(scene, motion, frames + horizon - 1)
         return self._path(scene, states[frames:])
 
@@ -107,7 +124,12 @@ class Oracle:
         centres: list[Vector3] = []
         velocities: list[Vector3] = []
         spins: list[Vector3] = []
-        for x, y, vx, vy in motion.tolist():
+        room = math.inf
+        if scene.scenario == "heightfield":
+            room = HEIGHTFIELD_HALF_WIDTH_M - scene.radius_m
+        for seen_x, seen_y, vx, vy in motion.tolist():
+            # Noise may put a ball into a wall.
+            x, y = (min(max(value, -room), room) for value in (seen_x, seen_y))
             centre = (x, y, self._resting_height(scene, x, y))
             contacts = self._world.surface.contacts(centre, scene.radius_m)
             normal = np.array(contacts[0].normal)

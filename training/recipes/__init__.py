@@ -22,7 +22,7 @@ from training.recipes.field import (
 )
 from training.recipes.paper import paper_posnet
 from training.recipes.recipe import Recipe
-from training.recipes.rig import rig, rig_rolling, rig_seeing
+from training.recipes.rig import rig, rig_continued, rig_seeing
 from training.recipes.sighted import (
     sighted_one_ball,
     sighted_one_ball_between,
@@ -56,7 +56,7 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "paper-posnet": paper_posnet,
     **{
         stage(objects).name: partial(stage, objects)
-        for stage in (rig, rig_seeing, rig_rolling)
+        for stage in (rig, rig_seeing, rig_continued)
         for objects in range(1, MAX_FORECAST_OBJECTS + 1)
     },
 }

@@ -5,6 +5,8 @@ import pytest
 
 from rollcast.camera import camera_for
 from rollcast.simulation.recording import TEST_START
+from rollcast.simulation.sampling import draw_scene, scene_generator
+from rollcast.surfaces import HEIGHTFIELD_HALF_WIDTH_M
 from training.baselines.oracle import Oracle
 from training.simulate import Source, load_recordings, simulate_split
 
@@ -51,3 +53,15 @@ def test_noise_costs_what_it_hides(runs, oracle):
     assert means[0.0][-1] < means[0.25][-1] < means[1.0][-1]
     # t = 0 is better known than from its own noisy position alone.
     assert means[1.0][0] < np.sqrt(np.pi / 2)
+
+
+def test_a_ball_that_noise_puts_into_a_wall_is_taken_to_touch_it(oracle):
+    scene = draw_scene(
+        "heightfield", 1, 7, scene_generator("heightfield", 1, 7), {}, lambda _: True
+    )
+    camera = camera_for("heightfield", 128)
+    room = HEIGHTFIELD_HALF_WIDTH_M - scene.radius_m
+    seen = camera.project(np.array([[[room + 0.01, 0.1 * k, 0.0] for k in range(4)]]))
+    path = oracle.from_positions(scene, seen, HORIZON)
+    assert np.isfinite(path.positions).all()
+    np.testing.assert_allclose(path.positions[0, 0], seen[0, 3], atol=2.0)
