@@ -150,22 +150,26 @@ def make(source: Path, page: Path, baselines: Sequence[str]) -> Iterator[str]:
 
 
 def tracked(source: Path, filmed: Filmed) -> list[Quality]:
-    """Track the clips of a set-up into its folder; return the report on each."""
+    """Track the clips of a set-up into its folder, unless all are; return the report on each.
+
+    The balls of all clips are in the order of the first one's, so they are tracked in one go.
+    """
     folder = filmed.folder
     folder.mkdir(parents=True, exist_ok=True)
     (folder / SETUP_FILE).write_text(filmed.setup.model_dump_json(exclude_none=True))
-    reports: list[Quality] = []
-    palettes = None
-    for file in filmed.clips:
-        clip, report = folder / file, (folder / file).with_suffix(".json")
+    clips = [folder / file for file in filmed.clips]
+    reports = [clip.with_suffix(".json") for clip in clips]
+    for clip in clips:
         clip.unlink(missing_ok=True)
-        clip.symlink_to((source / file).resolve())
-        if not report.exists():
-            tracks, quality, palettes = track(clip, balls=filmed.balls, like=palettes)
+        clip.symlink_to((source / clip.name).resolve())
+    if not all(report.exists() for report in reports):
+        palettes = None
+        for clip, report in zip(clips, reports, strict=True):
+            tracks, quality, found = track(clip, balls=filmed.balls, like=palettes)
+            palettes = found if palettes is None else palettes
             tracks.write(clip.with_suffix(".parquet"))
             report.write_text(quality.model_dump_json())
-        reports.append(Quality.model_validate_json(report.read_bytes()))
-    return reports
+    return [Quality.model_validate_json(report.read_bytes()) for report in reports]
 
 
 def tracking_table(reports: Sequence[tuple[str, Quality]]) -> str:
