@@ -4,6 +4,12 @@ import argparse
 import ipaddress
 import socket
 import sys
+from functools import partial
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from service.settings import Settings
+    from service.siblings import Siblings
 
 
 def main() -> int:
@@ -37,14 +43,27 @@ def main() -> int:
     with listener:
         port = listener.getsockname()[1]
         print(f"Rollcast listens on http://{host}:{port} (documentation: /docs)", flush=True)
-        from service.loading import begin_loading
+        # Inherited by every connection; asyncio leaves it out for those that it has not made, and
+        # answers then wait 40 ms for an acknowledgement.
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        answer = partial(_answer, settings.share())
+        if settings.processes > 1:
+            from service.processes import Processes
 
-        load = begin_loading(settings.models_dir)
-        # The web framework takes as long as the models: they load meanwhile, on another core.
-        from service.server import serve
-
-        serve(settings, listener, load)
+            return Processes(settings.processes, answer, listener).serve()
+        answer(listener)
     return 0
+
+
+def _answer(settings: "Settings", source: "socket.socket | Siblings") -> None:
+    """Serve connections from a listening socket, or from the process that accepts them."""
+    from service.loading import begin_loading
+
+    load = begin_loading(settings.models_dir)
+    # The web framework takes as long as the models: they load meanwhile, on another core.
+    from service.server import serve
+
+    serve(settings, load, source)
 
 
 def _parser(settings: str) -> argparse.ArgumentParser:

@@ -29,12 +29,15 @@ from service.routes import (
 )
 from service.scheduler import Scheduler
 from service.settings import Settings
+from service.siblings import Siblings
 from service.simulations import RecycledProcess
 from service.state import State
 from service.workers import Workers
 
 
-def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
+def create_app(
+    settings: Settings, load: Loader = load_registry, siblings: Siblings | None = None
+) -> FastAPI:
     """Make the service.
 
     Parameters
@@ -43,8 +46,11 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
         See ``service.settings``.
     load
         Loads the models of a folder, off the event loop.
+    siblings
+        The other processes that answer on the same address, if there are any.
     """
     figures = Metrics()
+    held = figures.held.labels("inference")
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
@@ -54,8 +60,9 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
                 settings.inference_threads,
                 settings.inference_threads + settings.inference_queue,
                 settings.max_batch,
-                figures.held.labels("inference"),
+                held if siblings is None else siblings.follow(held),
                 figures.batches,
+                siblings,
             ),
             simulation=Workers(
                 RecycledProcess(settings.simulation_recycle, settings.simulation_timeout_s),
@@ -68,6 +75,7 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
             rates=None
             if settings.requests_per_minute is None
             else Rates(settings.requests_per_minute),
+            siblings=siblings,
         )
         app.state.service = state
         loading = asyncio.create_task(_load(state))
@@ -110,4 +118,6 @@ def create_app(settings: Settings, load: Loader = load_registry) -> FastAPI:
 async def _load(state: State) -> None:
     """Load the models while the service already answers that it does so."""
     state.serve(await asyncio.to_thread(state.load, state.settings.models_dir))
+    if state.siblings is not None:
+        await state.siblings.ready()
     state.phase = "serving"

@@ -1,10 +1,24 @@
 """Models that come and go while the service answers: what has begun goes on with its own."""
 
 import asyncio
+from typing import Literal
 
 from service.errors import InvalidValueError, UnknownModelError
 from service.registry import Model
 from service.state import State
+
+
+async def change(state: State, what: Literal["load", "unload"], name: str) -> None:
+    """Load or unload a model in all processes that answer; raises what this one's does."""
+    if state.siblings is None:
+        await change_here(state, what, name)
+    else:
+        await state.siblings.everywhere(what, name)
+
+
+async def change_here(state: State, what: str, name: str) -> None:
+    """Load or unload a model in this process."""
+    await (load if what == "load" else unload)(state, name)
 
 
 async def load(state: State, name: str) -> None:

@@ -121,7 +121,7 @@ def _shared_eye(path: Path, digest: str) -> _Eye:
 def _session(
     graph: Path | bytes, threads: int = 1, *, optimised: bool = True
 ) -> onnxruntime.InferenceSession:
-    """Open a graph on threads that never spin: the cores belong to other requests."""
+    """Open a graph on threads that never spin between runs: cores belong to other requests."""
     options = onnxruntime.SessionOptions()
     if not optimised:
         options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
@@ -130,7 +130,9 @@ def _session(
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.log_severity_level = 3  # errors: its warnings speak to those who export
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    # Threads that wait for each other hundreds of times a run spin meanwhile, and no longer.
+    options.add_session_config_entry("session.intra_op.allow_spinning", str(int(threads > 1)))
+    options.add_session_config_entry("session.force_spinning_stop", "1")
     # An arena for every session would keep the most that its largest batch ever needed.
     options.enable_cpu_mem_arena = False
     return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])

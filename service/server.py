@@ -3,15 +3,18 @@
 import asyncio
 import socket
 from functools import partial
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
 
+from service import lifecycle
 from service.app import create_app
 from service.connections import Connection
 from service.loading import Loader
 from service.logs import configuration
 from service.settings import Settings
+from service.siblings import Service, Siblings
 from service.state import State
 
 POLL_S = 0.02
@@ -22,15 +25,18 @@ class Server(uvicorn.Server):
 
     Readiness turns false at once, and new forecasts are refused with 503; the listener stays open
     until nothing is being computed, so that whoever asks can see that. A second signal ends the
-    wait.
+    wait. One of several processes does not listen, but takes connections over.
     """
 
-    def __init__(self, app: FastAPI, settings: Settings) -> None:
+    def __init__(self, app: FastAPI, settings: Settings, siblings: Siblings | None = None) -> None:
         super().__init__(
             uvicorn.Config(
                 app,
                 http=partial(  # pyright: ignore[reportArgumentType]
-                    Connection, settings=settings, stopping=lambda: self.should_exit
+                    Connection,
+                    settings=settings,
+                    stopping=lambda: self.should_exit,
+                    ended=_nothing if siblings is None else siblings.closed,
                 ),
                 log_config=configuration(settings.log_format),
                 access_log=False,  # service.logs has its own
@@ -40,6 +46,29 @@ class Server(uvicorn.Server):
         )
         self._app = app
         self._settings = settings
+        self._siblings = siblings
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to listen, or to take connections over."""
+        await super().startup(sockets)
+        if self._siblings is not None:
+            change = partial(lifecycle.change_here, self._app.state.service)
+            self._siblings.listen(Service(self._take_over, change, self._end))
+
+    async def _take_over(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        await asyncio.get_running_loop().connect_accepted_socket(self._protocol, connection)
+
+    def _protocol(self) -> asyncio.Protocol:
+        given: dict[str, Any] = {
+            "config": self.config,
+            "server_state": self.server_state,
+            "app_state": self.lifespan.state,
+        }
+        return self.config.http_protocol_class(**given)
+
+    def _end(self) -> None:
+        self.should_exit = True
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Drain, then close."""
@@ -54,9 +83,18 @@ class Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def serve(settings: Settings, listener: socket.socket, load: Loader) -> None:
-    """Serve the models of a loader on a listening socket until told to stop."""
-    # Inherited by every connection; asyncio leaves it out for a listener that it has not made,
-    # and answers then wait 40 ms for an acknowledgement.
-    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    Server(create_app(settings, load), settings).run(sockets=[listener])
+def serve(settings: Settings, load: Loader, source: socket.socket | Siblings) -> None:
+    """Serve the models of a loader until told to stop.
+
+    Parameters
+    ----------
+    source
+        Where connections come from: a listening socket, or what hands them over.
+    """
+    siblings = source if isinstance(source, Siblings) else None
+    sockets = [] if isinstance(source, Siblings) else [source]
+    Server(create_app(settings, load, siblings), settings, siblings).run(sockets)
+
+
+def _nothing() -> None:
+    """Do nothing."""

@@ -1,9 +1,12 @@
 """Settings of the service: environment variables ``ROLLCAST_NAME``, or a file of their names."""
 
+import math
 import os
+import socket
 import textwrap
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 from loky import cpu_count
 from pydantic import DirectoryPath, Field, FilePath, ValidationError, model_validator
@@ -37,9 +40,30 @@ def keep_runtime_silent() -> None:
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 
+SHARED_METRICS = "PROMETHEUS_MULTIPROC_DIR"
+"""Names the folder in which several processes count; Prometheus' client reads it too."""
+MOST_PROCESSES = 4
+"""By default: each holds all models in memory."""
+
+
 def metrics_are_shared() -> bool:
-    """Tell whether several processes count in one folder, which Prometheus' client reads too."""
-    return "PROMETHEUS_MULTIPROC_DIR" in os.environ
+    """Tell whether several processes count together."""
+    return SHARED_METRICS in os.environ
+
+
+def share_metrics(folder: str) -> None:
+    """Let processes count in one folder, unless the user has named one.
+
+    Prometheus' client must not have been imported yet.
+    """
+    os.environ.setdefault(SHARED_METRICS, folder)
+
+
+def default_processes(given: Mapping[str, Any]) -> int:
+    """Return one a core up to a few; one where requests are counted or cannot be handed over."""
+    if given.get("requests_per_minute") is not None or not hasattr(socket, "send_fds"):
+        return 1
+    return min(cpu_count(), MOST_PROCESSES)
 
 
 Origin: TypeAlias = Annotated[str, Field(pattern=r"^(\*|https?://[^/\s]+)$")]
@@ -62,7 +86,7 @@ class Settings(BaseSettings):
     service listens to its own machine alone."""
     requests_per_minute: Annotated[int, Field(ge=1)] | None = None
     """Requests that each key may send in a minute, or without keys each address; one more is
-    refused with 429. By default as many as it likes."""
+    refused with 429. By default as many as it likes. They are counted by a single process."""
     allowed_origins: tuple[Origin, ...] = ()
     """Origins of web pages, SCHEME://HOST[:PORT], that may ask the service from a browser; "*"
     stands for all of them. By default its own page alone."""
@@ -73,11 +97,15 @@ class Settings(BaseSettings):
     refused with 408, and its connection closed."""
     send_timeout_s: Annotated[float, Field(gt=0)] = 60
     """Seconds after which the connection of a client is closed that takes nothing of its answer."""
+    processes: Annotated[int, Field(ge=1)] = Field(default_factory=default_processes)
+    """Processes that answer, each with all models in its memory; by default one per core that the
+    service or its container may use, up to four. Each connection belongs to one of them."""
     inference_threads: Annotated[int, Field(ge=1)] = Field(default_factory=cpu_count)
-    """Threads that compute forecasts; by default one per core that this process or its container
-    may use."""
+    """Threads that compute forecasts, of all processes together and at least one in each; by
+    default one per core."""
     inference_queue: Annotated[int, Field(ge=0)] = 64
-    """Forecasts that may be held beyond one a thread; one more is refused with 429."""
+    """Forecasts that may be held beyond one a thread, in equal parts by all processes; one more is
+    refused with 429."""
     deadline_s: Annotated[float, Field(gt=0)] = 60
     """Seconds after which a forecast that is not there is given up with 504, the wait in the queue
     included; the header X-Request-Timeout-Ms may ask for less."""
@@ -85,7 +113,8 @@ class Settings(BaseSettings):
     """Forecasts that may come in one tensor of ``/v2``, and that are gathered, while more frames
     wait, before they are rolled out together."""
     simulation_queue: Annotated[int, Field(ge=0)] = 8
-    """Simulations that may wait for the one that runs; one more is refused with 429."""
+    """Simulations that may wait for the one that runs, in equal parts in all processes, each of
+    which runs its own; one more is refused with 429."""
     simulation_recycle: Annotated[int, Field(ge=1)] = 500
     """Simulations after which the process that runs them is replaced."""
     simulation_timeout_s: Annotated[float, Field(gt=0)] = 120
@@ -125,11 +154,26 @@ class Settings(BaseSettings):
             return init_settings, env_settings
         return init_settings, env_settings, TomlConfigSettingsSource(settings_cls, _file(path))
 
+    def share(self) -> "Settings":
+        """Return the settings of one process among all: its part of threads and queues."""
+        return self.model_copy(
+            update={
+                name: math.ceil(getattr(self, name) / self.processes)
+                for name in ("inference_threads", "inference_queue", "simulation_queue")
+            }
+        )
+
     @model_validator(mode="after")
     def _know_where_traces_go(self) -> "Settings":
         os.environ.setdefault("OTEL_SERVICE_NAME", "rollcast")
         if self.traces and not TRACE_RECEIVERS & os.environ.keys():
             raise ValueError(f"traces need one of {sorted(TRACE_RECEIVERS)}: where they go")
+        return self
+
+    @model_validator(mode="after")
+    def _count_in_one_process(self) -> "Settings":
+        if self.requests_per_minute is not None and self.processes > 1:
+            raise ValueError("requests_per_minute needs processes = 1, which counts them all")
         return self
 
     @model_validator(mode="after")
@@ -161,8 +205,9 @@ def _file(path: str) -> Path:
 
 def described() -> str:
     """Say what every setting means and what it is by default, a paragraph each."""
-    return "\n".join(
-        f"{PREFIX}{name.upper()} (default {field.get_default(call_default_factory=True)})\n"
-        + textwrap.indent(textwrap.fill(field.description or "", 84), 4 * " ")
-        for name, field in Settings.model_fields.items()
-    )
+    parts: list[str] = []
+    for name, field in Settings.model_fields.items():
+        default = field.get_default(call_default_factory=True, validated_data={})
+        parts.append(f"{PREFIX}{name.upper()} (default {default})")
+        parts.append(textwrap.indent(textwrap.fill(field.description or "", 84), 4 * " "))
+    return "\n".join(parts)

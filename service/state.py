@@ -14,6 +14,7 @@ from service.rates import Rates
 from service.registry import Registry
 from service.scheduler import Scheduler
 from service.settings import Settings
+from service.siblings import Siblings
 from service.workers import Workers
 
 
@@ -35,6 +36,8 @@ class State:
         The API keys; None where nobody is asked for one.
     rates
         How often each may ask; None where everybody may as often as they like.
+    siblings
+        The other processes that answer; None where there are none.
     registry
         The models; empty while loading.
     changing
@@ -50,6 +53,7 @@ class State:
     load: Loader
     keyring: Keyring | None = None
     rates: Rates | None = None
+    siblings: Siblings | None = None
     registry: Registry = field(default_factory=lambda: Registry([]))
     changing: asyncio.Lock = field(default_factory=asyncio.Lock)
     phase: Literal["loading", "serving", "draining"] = "loading"

@@ -4,14 +4,24 @@ import asyncio
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
-from typing import ParamSpec, TypeVar
-
-from prometheus_client import Gauge
+from typing import ParamSpec, Protocol, TypeVar
 
 from service.errors import QueueFullError
 
 P = ParamSpec("P")
 T = TypeVar("T")
+
+
+class Counter(Protocol):
+    """Follows a number."""
+
+    def inc(self) -> None:
+        """Count one more."""
+        ...
+
+    def dec(self) -> None:
+        """Count one less."""
+        ...
 
 
 class Places:
@@ -25,7 +35,7 @@ class Places:
         Follows the number that is taken.
     """
 
-    def __init__(self, capacity: int, shown: Gauge) -> None:
+    def __init__(self, capacity: int, shown: Counter) -> None:
         self._capacity = capacity
         self._shown = shown
         self._taken = 0
@@ -72,7 +82,7 @@ class Workers:
         Follows the number that it holds.
     """
 
-    def __init__(self, executor: Executor, capacity: int, shown: Gauge) -> None:
+    def __init__(self, executor: Executor, capacity: int, shown: Counter) -> None:
         self._executor = executor
         self._places = Places(capacity, shown)
 

@@ -34,6 +34,7 @@ from training.settings import runs_folder
 from training.simulate import Source, data_folder, in_processes, make_missing, split_shards
 from training.splits import Split
 from training.studies import STUDIES
+from training.studies.rows import BUDGET, Effort
 from training.trainer import BEST, Pace, Trainer
 
 MODELS = Path("models")
@@ -203,6 +204,12 @@ def _parser() -> argparse.ArgumentParser:
     studied.add_argument("study", choices=sorted(STUDIES))
     studied.add_argument("--rows", nargs="+", default=[], metavar="METHOD", help="these rows alone")
     studied.add_argument("--scenes", type=int, default=500, help="test scenes of every subject")
+    studied.add_argument(
+        "--sequences",
+        type=int,
+        default=BUDGET,
+        help="training sequences of each kind of scene for every row that learns",
+    )
     studied.set_defaults(run=_study)
 
     reported = commands.add_parser(
@@ -471,8 +478,9 @@ def _finish(chosen: campaign.Round, outcome: campaign.Outcome, given: argparse.N
 def _study(arguments: argparse.Namespace) -> None:
     study = STUDIES[arguments.study]
     file = DOCS / "results" / RESULTS
+    effort = Effort(arguments.workers, arguments.sequences)
     try:
-        for done in study.run(file, arguments.scenes, arguments.workers, arguments.rows):
+        for done in study.run(file, arguments.scenes, effort, arguments.rows):
             print(done, flush=True)
             publish_study(study, DOCS)
     except ValueError as error:

@@ -31,7 +31,7 @@ async def index(service: ServiceState) -> list[IndexEntry]:
 async def load(name: str, service: ServiceState) -> Response:
     """Load every version of a model again from its folder; 400 when one of them is refused."""
     service.require_serving()
-    await lifecycle.load(service, name)
+    await lifecycle.change(service, "load", name)
     return Response(status_code=status.HTTP_200_OK)
 
 
@@ -41,5 +41,5 @@ async def load(name: str, service: ServiceState) -> Response:
 async def unload(name: str, service: ServiceState) -> Response:
     """Stop serving a model; forecasts that have begun are answered."""
     service.require_serving()
-    await lifecycle.unload(service, name)
+    await lifecycle.change(service, "unload", name)
     return Response(status_code=status.HTTP_200_OK)

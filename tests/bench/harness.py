@@ -48,6 +48,15 @@ def service(**settings: str) -> Iterator[tuple[str, psutil.Process]]:
     process.wait(60)
 
 
+def answering(process: psutil.Process) -> list[psutil.Process]:
+    """The processes of a service that answer: those that it has started for that, or itself."""
+    return [
+        child
+        for child in process.children()
+        if child.status() != psutil.STATUS_ZOMBIE and child.cmdline() == process.cmdline()
+    ] or [process]
+
+
 def bare(seconds: float, *options: str, processes: int = 1) -> list[list[float]]:
     """Times of the bare loop's forecasts, of every process."""
     return side_by_side(processes, "tests.bench.bare", "--seconds", str(seconds), *options)

@@ -5,7 +5,16 @@ import time
 import httpx2
 import psutil
 
-from tests.bench.harness import Finding, ask, asked, bare, heard, median_ms, service
+from tests.bench.harness import (
+    Finding,
+    answering,
+    ask,
+    asked,
+    bare,
+    heard,
+    median_ms,
+    service,
+)
 from tests.bench.loop import CORES, MODEL
 from tests.bench.payloads import KINDS, Kind
 
@@ -104,10 +113,10 @@ def memory(address: str, process: psutil.Process, requests: int) -> list[Finding
         options = ("--kinds", *KINDS, "--simulate", "50", "--connections", "8")
         answers = heard(ask(address, *options, "--requests", str(part)))
         assert not answers.failures, answers.times.keys()
-        resident.append(process.memory_info().rss / MIB)
+        resident.append(max(one.memory_info().rss for one in answering(process)) / MIB)
     return [
         Finding(
-            "resident memory of the process that answers, all models loaded", "MiB",
+            "resident memory of the larger of the processes that answer, all models loaded", "MiB",
             tuple(resident), "under 400", lambda x: x < 400,
         ),
         Finding(

@@ -25,7 +25,7 @@ import psutil
 
 from rollcast.client import Client
 from rollcast.manifest import ENCODER_FILE, STEP_FILE
-from tests.bench.harness import service
+from tests.bench.harness import answering, service
 from tests.bench.loop import MODEL, ROOT
 from tests.e2e.conftest import start_service, wait_until_ready
 from tests.faults.load import HEADER, READY_WITHIN_S, Load, Report
@@ -41,6 +41,21 @@ STOPPING = CLOSED | {"503 not-ready", "503", "nobody listens"}
 
 class SkippedError(Exception):
     """This machine cannot do it."""
+
+
+async def killed_process(report: Report, times: int) -> None:
+    """kill -9 of one of the processes that answer: its connections end, the others go on."""
+    report.expected = LOST | CLOSED
+    with service() as (address, process):
+        load = Load(address, report)
+        async with load.running():
+            for _ in range(times):
+                await asyncio.sleep(1)
+                before = answering(process)
+                before[0].kill()
+                while before[0] in (now := answering(process)) or len(now) < len(before):
+                    await asyncio.sleep(0.1)
+                await load.until_ready()
 
 
 async def killed_simulation(report: Report, times: int) -> None:
@@ -80,7 +95,8 @@ async def full_disk(report: Report, times: int) -> None:
             wait_until_ready(client)
         fill(disk)
         # Nor is there room on any other disk that a program might turn to.
-        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (0, 0))
+        for one in answering(psutil.Process(process.pid)):
+            resource.prlimit(one.pid, resource.RLIMIT_FSIZE, (0, 0))
         load = Load(address, report)
         async with load.running():
             for _ in range(times):
@@ -183,8 +199,9 @@ async def no_descriptors(report: Report, times: int) -> None:
         async with load.running():
             for _ in range(times):
                 await asyncio.sleep(1)
-                limit = process.num_fds() + 20
-                resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (limit, limit))
+                for one in [process, *answering(process)]:
+                    limit = one.num_fds() + 20
+                    resource.prlimit(one.pid, resource.RLIMIT_NOFILE, (limit, limit))
                 with ExitStack() as idle:
                     for _ in range(60):
                         idle.enter_context(socket.create_connection(parts(address), timeout=5))
@@ -206,11 +223,13 @@ async def no_memory(report: Report, times: int) -> None:
         async with load.running():
             await asyncio.sleep(3)
             for _ in range(times):
-                room = process.memory_info().vms + 48 * 2**20
-                resource.prlimit(process.pid, resource.RLIMIT_AS, (room, resource.RLIM_INFINITY))
+                for one in answering(process):
+                    room = one.memory_info().vms + 48 * 2**20
+                    resource.prlimit(one.pid, resource.RLIMIT_AS, (room, resource.RLIM_INFINITY))
                 status = await asyncio.to_thread(large_frames, address)
                 report.ends[status] += 1
-                resource.prlimit(process.pid, resource.RLIMIT_AS, 2 * (resource.RLIM_INFINITY,))
+                for one in answering(process):
+                    resource.prlimit(one.pid, resource.RLIMIT_AS, 2 * (resource.RLIM_INFINITY,))
                 await load.until_ready()
 
 
@@ -220,7 +239,7 @@ async def deaf_clients(report: Report, times: int) -> None:
         load = Load(address, report)
         async with load.running():
             await asyncio.sleep(3)
-            before = process.num_fds()
+            before = descriptors(process)
             for _ in range(times):
                 with ExitStack() as deaf:
                     for _ in range(5):
@@ -239,7 +258,7 @@ async def slow_senders(report: Report, times: int) -> None:
         load = Load(address, report)
         async with load.running():
             await asyncio.sleep(3)
-            before = process.num_fds()
+            before = descriptors(process)
             for _ in range(times):
                 with ExitStack() as slow:
                     clients = [
@@ -255,9 +274,14 @@ async def slow_senders(report: Report, times: int) -> None:
 
 def left_behind(process: psutil.Process, before: int) -> None:
     """Check that the connections of clients that are still there have been closed."""
-    held = process.num_fds()
+    held = descriptors(process)
     if held > before + 4:
         raise AssertionError(f"{held} descriptors, {before} before")
+
+
+def descriptors(process: psutil.Process) -> int:
+    """Descriptors that the processes that answer have open."""
+    return sum(one.num_fds() for one in answering(process))
 
 
 def send_to_whom_listens(clients: list[socket.socket], piece: bytes) -> None:
@@ -277,7 +301,7 @@ def parts(address: str) -> tuple[str, int]:
 def simulating(process: psutil.Process) -> list[psutil.Process]:
     """The processes that simulate and are alive."""
     found: list[psutil.Process] = []
-    for child in process.children():
+    for child in process.children(recursive=True):
         with suppress(psutil.Error):
             found += [child] if "spawn_main" in " ".join(child.cmdline()) else []
     return found

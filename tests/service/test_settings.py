@@ -75,3 +75,18 @@ def test_traces_have_to_go_somewhere(monkeypatch):
         Settings(traces=True)
     monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", "http://127.0.0.1:4318")
     assert Settings(traces=True).traces
+
+
+def test_threads_and_queues_are_shared_out_among_processes():
+    settings = Settings(processes=3, inference_threads=4, inference_queue=64, simulation_queue=8)
+    share = settings.share()
+    assert (share.inference_threads, share.inference_queue, share.simulation_queue) == (2, 22, 3)
+    assert (
+        Settings(processes=4, inference_threads=1, inference_queue=0).share().inference_threads == 1
+    )
+
+
+def test_requests_a_minute_are_counted_in_one_process():
+    assert Settings(requests_per_minute=5).processes == 1
+    with pytest.raises(ValueError, match="requests_per_minute needs processes = 1"):
+        Settings(requests_per_minute=5, processes=2)

@@ -19,7 +19,7 @@ import aiohttp
 import numpy as np
 import psutil
 
-from tests.bench.harness import service
+from tests.bench.harness import answering, service
 from tests.bench.loop import MODEL
 from tests.bench.payloads import KINDS, Payload, frames, payload, simulation
 
@@ -152,15 +152,16 @@ class Soak:
                 self._look()
 
     def _look(self) -> None:
-        children = self._process.children(recursive=True)
+        serving = answering(self._process)
+        children = [child for one in serving for child in one.children(recursive=True)]
         simulating = sum(child.memory_info().rss for child in children if child.is_running())
         self.windows.append(
             Window(
                 self._sent,
-                self._process.memory_info().rss / 2**20,
+                sum(one.memory_info().rss for one in serving) / 2**20,
                 simulating / 2**20,
-                self._process.num_fds(),
-                self._process.num_threads(),
+                sum(one.num_fds() for one in serving),
+                sum(one.num_threads() for one in serving),
                 1e3 * float(np.median(self._times)),
                 1e3 * float(np.quantile(self._times, 0.99)),
             )

@@ -12,7 +12,7 @@ from training.results import Cell, Results
 from training.simulate import SHARD_SCENES
 from training.studies import STUDIES
 from training.studies.claims import CLAIMS, Claim, Comparison, verdicts
-from training.studies.rows import least_squares, npe, resting
+from training.studies.rows import Effort, least_squares, npe, resting
 from training.studies.study import Study
 from training.studies.subject import Subject
 from training.studies.tables import page
@@ -23,7 +23,7 @@ SMALL = Study(
     "A small study",
     "Few scenes.",
     (Subject("hemisphere"),),
-    lambda: (resting(), least_squares("line", 1), npe(angular_velocity=True, budget=100)),
+    lambda: (resting(), least_squares("line", 1), npe(angular_velocity=True)),
 )
 
 
@@ -37,10 +37,13 @@ def measured(runs, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("training.studies.rows.VALIDATION_SCENES", SHARD_SCENES)
         patch.setattr(Subject, "data", property(_few_scenes))
-        first = list(SMALL.run(file, SHARD_SCENES, 2, ["line"]))
-        rest = list(SMALL.run(file, SHARD_SCENES, 2, []))
-        again = list(SMALL.run(file, SHARD_SCENES, 2, []))
-    return docs, first, rest, again
+        efforts = [Effort(2, 100), Effort(2, 100), Effort(2, 50), Effort(2, 200)]
+        rows: list[list[str]] = [["line"], [], [], []]
+        done = [
+            list(SMALL.run(file, SHARD_SCENES, effort, methods))
+            for effort, methods in zip(efforts, rows, strict=True)
+        ]
+    return docs, done
 
 
 def _few_scenes(subject: Subject):
@@ -48,18 +51,26 @@ def _few_scenes(subject: Subject):
     return replace(whole, scenes=SHARD_SCENES)
 
 
-def test_a_row_is_measured_once(measured):
-    _, first, rest, again = measured
-    assert [line.split(":")[0] for line in first] == ["hemisphere-1, line"]
-    assert [line.split(":")[0] for line in rest] == [
-        "hemisphere-1, stays put",
-        "hemisphere-1, npe",
+def test_a_row_is_measured_again_only_with_more_training(measured):
+    _, done = measured
+    assert [[line.split(":")[0] for line in lines] for lines in done] == [
+        ["hemisphere-1, line"],
+        ["hemisphere-1, stays put", "hemisphere-1, npe"],
+        [],
+        ["hemisphere-1, npe"],
     ]
-    assert again == []
+
+
+def test_the_page_tells_what_a_row_was_trained_on(measured):
+    docs, _ = measured
+    text = page(SMALL, Results.read(docs / "results" / "results.json"))
+    ends = {line.split(" | ")[0]: line.split(" | ")[-1] for line in text.splitlines()}
+    assert ends["| npe"] == "200 |"
+    assert ends["| line"] == "- |"
 
 
 def test_the_page_has_every_row_and_its_pictures(measured):
-    docs, *_ = measured
+    docs, _ = measured
     publish_study(SMALL, docs)
     text = (docs / "results" / "small.md").read_text()
     line = next(one for one in text.splitlines() if one.startswith("| line |"))
@@ -72,9 +83,9 @@ def test_the_page_has_every_row_and_its_pictures(measured):
 
 
 def test_a_row_that_is_not_there_is_named(measured):
-    docs, *_ = measured
+    docs, _ = measured
     with pytest.raises(ValueError, match=r"no row .'nobody'.; its rows: stays put, line, npe"):
-        list(SMALL.run(docs / "results" / "results.json", SHARD_SCENES, 2, ["nobody"]))
+        list(SMALL.run(docs / "results" / "results.json", SHARD_SCENES, Effort(), ["nobody"]))
 
 
 def _cell(method: str, error: float) -> Cell:

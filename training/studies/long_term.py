@@ -26,7 +26,8 @@ from training.studies.subject import Subject
 SIMULATOR_NOISE_PX = (0.25, 0.5)
 CAPTION = f"""Every cell: mean error on 500 test scenes in 128-pixel units, that of angular velocity
 in rad/s in brackets, and the paper's error after the stroke. Every row that learns saw {BUDGET:,}
-sequences of each kind of scene; the paper's saw about 17 million. "Given states" are methods that
+sequences of each kind of scene unless its last column says otherwise; the paper's saw about 17
+million. "Given states" are methods that
 start from true positions; the simulator is the world itself, restarted from the true state or from
 the motion that fits four positions with so much noise best. Bold is the best of those that see
 frames. T_train is {{trained}}, T_gen {{generated}}."""

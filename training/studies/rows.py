@@ -32,13 +32,34 @@ from training.survey import survey
 from training.trainer import BEST, Pace, Trainer
 
 BUDGET = 60_000
-"""Training sequences of every row that learns."""
+"""Training sequences of each kind of scene for every row that learns, if there is time for them."""
 VALIDATION_SCENES = 100
 PLAIN = " without angular velocity"
 """What the paper adds to the name of a method that neither sees nor predicts it."""
 NPE_BATCH, NPE_DECAY, NPE_DECAY_BATCHES = 50, 0.99, 2500
 IFS_BATCH = VIN_BATCH = 4
 LSTM_BATCH = 50
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What a study may cost.
+
+    Attributes
+    ----------
+    workers
+        Processes that simulate.
+    sequences
+        Training sequences of each kind of scene for every row that learns.
+    """
+
+    workers: int = 1
+    sequences: int = BUDGET
+
+    @property
+    def suffix(self) -> str:
+        """Tells the folders of trainings of other lengths than the tables' apart."""
+        return "" if self.sequences == BUDGET else f"-{self.sequences}"
 
 
 @dataclass(frozen=True)
@@ -50,48 +71,55 @@ class Row:
     method
         Its name, as in ``paper.json`` where the paper has it.
     forecasts
-        Trains it if need be and forecasts test scenes up to T_gen, in so many processes.
-    sequences
-        Training sequences; None for what learns nothing.
+        Trains it if need be and forecasts test scenes up to T_gen.
+    learns
+        Whether the study trains it.
     given_states
         Whether it is given true states or positions instead of frames.
     fits
         Whether it is made for a subject.
+    sequences
+        Training sequences of what comes trained.
     """
 
     method: str
-    forecasts: Callable[[FixedScenes, int], Forecasts]
-    sequences: int | None
+    forecasts: Callable[[FixedScenes, Effort], Forecasts]
+    learns: bool
     given_states: bool
     fits: Callable[[Subject], bool] = lambda _: True
+    sequences: int | None = None
+
+    def trained_on(self, effort: Effort) -> int | None:
+        """Return its training sequences; None for what learns nothing."""
+        return effort.sequences if self.learns else self.sequences
 
 
 def resting() -> Row:
     """Stays put."""
 
-    def forecasts(test: FixedScenes, workers: int) -> Forecasts:  # noqa: ARG001
+    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:  # noqa: ARG001
         truth = np.stack([window.positions for window in test.truth])
         return beside_truth(test.truth, stays_put(truth), None, None)
 
-    return Row("stays put", forecasts, None, given_states=True)
+    return Row("stays put", forecasts, learns=False, given_states=True)
 
 
 def least_squares(method: str, degree: int) -> Row:
     """Linear or Quadratic."""
 
-    def forecasts(test: FixedScenes, workers: int) -> Forecasts:  # noqa: ARG001
+    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:  # noqa: ARG001
         horizon = test.subject.horizon
         positions = polynomial(test.seen_positions(POINTS), degree, horizon)
         spins = polynomial(test.first_spins(), degree, horizon)
         return beside_truth(test.truth, positions, None, spins)
 
-    return Row(method, forecasts, None, given_states=True)
+    return Row(method, forecasts, learns=False, given_states=True)
 
 
 def oracle(noise_px: float | None) -> Row:
     """Return the simulator, restarted from the truth or from four positions with noise."""
 
-    def forecasts(test: FixedScenes, workers: int) -> Forecasts:  # noqa: ARG001
+    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:  # noqa: ARG001
         simulator = Oracle()
         horizon = test.subject.horizon
         positions: list[np.ndarray] = []
@@ -110,16 +138,16 @@ def oracle(noise_px: float | None) -> Row:
         return beside_truth(test.truth, np.stack(positions), None, np.stack(spins))
 
     method = "simulator" if noise_px is None else f"simulator, {noise_px} px"
-    return Row(method, forecasts, None, given_states=True)
+    return Row(method, forecasts, learns=False, given_states=True)
 
 
-def npe(*, angular_velocity: bool, budget: int = BUDGET) -> Row:
+def npe(*, angular_velocity: bool) -> Row:
     """NPE, trained as published: RMSProp at 3e-4, 0.99 of it after every 2,500 batches of 50.
 
     A sequence is taken apart into as many samples as it has steps to predict.
     """
 
-    def course(subject: Subject, scenes: StateSet) -> Course[States]:
+    def course(subject: Subject, scenes: StateSet, budget: int) -> Course[States]:
         frames = FIRST_FORECAST_FRAME + subject.trained_horizon
         batches = budget * (frames - GIVEN) // NPE_BATCH
         # Samples begin wherever a step of a training window can.
@@ -133,13 +161,13 @@ def npe(*, angular_velocity: bool, budget: int = BUDGET) -> Row:
         )
 
     build = partial(Npe, angular_velocity=angular_velocity)
-    return _from_states("npe" + ("" if angular_velocity else PLAIN), build, course, budget)
+    return _from_states("npe" + ("" if angular_velocity else PLAIN), build, course)
 
 
-def ifs(*, angular_velocity: bool, budget: int = BUDGET) -> Row:
+def ifs(*, angular_velocity: bool) -> Row:
     """IFS, trained as VIN is: Adam at 5e-4, batches of 4; the paper's rule lowers it."""
 
-    def course(subject: Subject, scenes: StateSet) -> Course[States]:
+    def course(subject: Subject, scenes: StateSet, budget: int) -> Course[States]:
         return Course(
             budget // IFS_BATCH,
             partial(scenes.drawn, FRAMES, subject.data.latest_start, IFS_BATCH, 1),
@@ -149,35 +177,35 @@ def ifs(*, angular_velocity: bool, budget: int = BUDGET) -> Row:
         )
 
     build = partial(Ifs, angular_velocity=angular_velocity)
-    return _from_states("ifs" + ("" if angular_velocity else PLAIN), build, course, budget)
+    return _from_states("ifs" + ("" if angular_velocity else PLAIN), build, course)
 
 
 def _from_states(
     method: str,
     build: Callable[[], Learner[States]],
-    course: Callable[[Subject, StateSet], Course[States]],
-    budget: int,
+    course: Callable[[Subject, StateSet, int], Course[States]],
 ) -> Row:
-    def forecasts(test: FixedScenes, workers: int) -> Forecasts:
+    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:
         subject = test.subject.usual
-        training = StateSet(subject.recordings("training", subject.data.scenes, workers))
-        known = FixedScenes(subject, "validation", VALIDATION_SCENES, workers)
+        training = StateSet(subject.recordings("training", subject.data.scenes, effort.workers))
+        known = FixedScenes(subject, "validation", VALIDATION_SCENES, effort.workers)
 
         def validate(learner: Learner[States]) -> float:
             made = _forecasts(learner, known.states, known)
             return float(made.errors_px()[:, :, subject.trained_horizon - 1].mean())
 
-        learner = fit(build, course(subject, training), folder(subject, method), validate)
+        chosen = course(subject, training, effort.sequences)
+        learner = fit(build, chosen, folder(subject, method, effort), validate)
         with torch.inference_mode():
             return _forecasts(learner, test.states, test)
 
-    return Row(method, forecasts, budget, given_states=True)
+    return Row(method, forecasts, learns=True, given_states=True)
 
 
-def vin(budget: int = BUDGET) -> Row:
+def vin() -> Row:
     """VIN: Adam at 5e-4, batches of 4; that the rate decays to a tenth is our choice."""
 
-    def course(stream: Callable[[int], Iterator[Batch]]) -> Course[Batch]:
+    def course(stream: Callable[[int], Iterator[Batch]], budget: int) -> Course[Batch]:
         return Course(
             budget // VIN_BATCH,
             stream,
@@ -189,17 +217,17 @@ def vin(budget: int = BUDGET) -> Row:
     def build(subject: Subject) -> Learner[Batch]:
         return Vin(subject.objects, subject.trained_horizon)
 
-    return _from_frames("vin" + PLAIN, build, course, VIN_BATCH, budget)
+    return _from_frames("vin" + PLAIN, build, course, VIN_BATCH)
 
 
-def v_lstm(*, angular_velocity: bool, budget: int = BUDGET) -> Row:
+def v_lstm(*, angular_velocity: bool) -> Row:
     """V-LSTM in batches of 50, as the paper's own networks.
 
     Adam at 3e-4 and a cosine take the place of RMSProp at 1e-4 and plateaus, which are made for
     two thousand epochs and not for the seven that there are.
     """
 
-    def course(stream: Callable[[int], Iterator[Batch]]) -> Course[Batch]:
+    def course(stream: Callable[[int], Iterator[Batch]], budget: int) -> Course[Batch]:
         return Course(
             budget // LSTM_BATCH,
             stream,
@@ -212,19 +240,18 @@ def v_lstm(*, angular_velocity: bool, budget: int = BUDGET) -> Row:
         return VLstm(subject.objects, subject.trained_horizon, angular_velocity=angular_velocity)
 
     method = "v-lstm" + ("" if angular_velocity else PLAIN)
-    return _from_frames(method, build, course, LSTM_BATCH, budget)
+    return _from_frames(method, build, course, LSTM_BATCH)
 
 
 def _from_frames(
     method: str,
     build: Callable[[Subject], Learner[Batch]],
-    course: Callable[[Callable[[int], Iterator[Batch]]], Course[Batch]],
+    course: Callable[[Callable[[int], Iterator[Batch]], int], Course[Batch]],
     batch_size: int,
-    budget: int,
 ) -> Row:
-    def forecasts(test: FixedScenes, workers: int) -> Forecasts:
+    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:
         subject = test.subject.usual
-        shards = simulate_split(subject.source, "training", subject.data.scenes, workers)
+        shards = simulate_split(subject.source, "training", subject.data.scenes, effort.workers)
 
         def stream(first: int) -> Iterator[Batch]:
             drawn = TrainingStream(
@@ -235,21 +262,22 @@ def _from_frames(
                 batch_size,
                 seed=1,
                 first_batch=first,
-                surveys=[survey(shards, workers)],
+                surveys=[survey(shards, effort.workers)],
             )
             return iter(DataLoader(drawn, batch_size=None, num_workers=1, prefetch_factor=4))
 
-        known = FixedScenes(subject, "validation", VALIDATION_SCENES, workers)
+        known = FixedScenes(subject, "validation", VALIDATION_SCENES, effort.workers)
 
         def validate(learner: Learner[Batch]) -> float:
             made = _seen(learner, known)
             return float(made.errors_px()[:, :, subject.trained_horizon - 1].mean())
 
-        learner = fit(partial(build, subject), course(stream), folder(subject, method), validate)
+        chosen = course(stream, effort.sequences)
+        learner = fit(partial(build, subject), chosen, folder(subject, method, effort), validate)
         with torch.inference_mode():
             return _seen(learner, test)
 
-    return Row(method, forecasts, budget, given_states=False)
+    return Row(method, forecasts, learns=True, given_states=False)
 
 
 def _seen(learner: Learner[Batch], scenes: FixedScenes) -> Forecasts:
@@ -265,7 +293,7 @@ def _forecasts(learner: Learner[States], given: States, scenes: FixedScenes) -> 
     return beside_truth(scenes.truth, positions, None, spins)
 
 
-def ours(recipe: Recipe, member: str, method: str, budget: int = BUDGET) -> Row:
+def ours(recipe: Recipe, member: str, method: str) -> Row:
     """Return a network of ours, trained from nothing within the tables' budget.
 
     Its whole family is trained at once, in one training for all scenarios, and serves its other
@@ -275,24 +303,20 @@ def ours(recipe: Recipe, member: str, method: str, budget: int = BUDGET) -> Row:
     ----------
     recipe
         Of one kind of scene a scenario.
-    budget
-        Sequences of each kind of scene.
     """
 
-    def forecasts(test: FixedScenes, workers: int) -> Forecasts:
-        network = _trained(recipe, member, budget, workers)
+    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:
+        network = _trained(recipe, member, effort)
         return _seeing(network, test, recipe.task.final_step)
 
     def fits(subject: Subject) -> bool:
         seen = {share.source.change for share in recipe.data}
         return subject.objects == recipe.task.objects and subject.change in seen
 
-    return Row(method, forecasts, budget, given_states=False, fits=fits)
+    return Row(method, forecasts, learns=True, given_states=False, fits=fits)
 
 
-def ours_trained_to_each(
-    recipes: Mapping[int, Recipe], member: str, method: str, budget: int = BUDGET
-) -> Row:
+def ours_trained_to_each(recipes: Mapping[int, Recipe], member: str, method: str) -> Row:
     """Return networks of ours of which each forecasts only as far as it was trained.
 
     Parameters
@@ -301,9 +325,9 @@ def ours_trained_to_each(
         By T, the last step of their training.
     """
 
-    def forecasts(test: FixedScenes, workers: int) -> Forecasts:
+    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:
         made = {
-            steps: _seeing(_trained(recipe, member, budget, workers), test)
+            steps: _seeing(_trained(recipe, member, effort), test)
             for steps, recipe in recipes.items()
         }
         whole = made[max(made)]
@@ -316,13 +340,13 @@ def ours_trained_to_each(
             begin = steps
         return whole
 
-    return Row(method, forecasts, budget, given_states=False)
+    return Row(method, forecasts, learns=True, given_states=False)
 
 
-def _trained(recipe: Recipe, member: str, budget: int, workers: int) -> Network:
-    whole = replace(recipe, sequences=budget * len(recipe.data))
-    folder = runs_folder() / "studies" / whole.name
-    Trainer(whole, folder, Pace(simulators=workers)).run()
+def _trained(recipe: Recipe, member: str, effort: Effort) -> Network:
+    whole = replace(recipe, sequences=effort.sequences * len(recipe.data))
+    folder = runs_folder() / "studies" / (whole.name + effort.suffix)
+    Trainer(whole, folder, Pace(simulators=effort.workers)).run()
     network = whole.build().networks()[member]
     best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
     network.load_state_dict(best["weights"][member])
@@ -335,13 +359,15 @@ def shipped(folder: Path) -> Row:
     sequences = manifest.training["sequences"]
     assert isinstance(sequences, int)
 
-    def forecasts(test: FixedScenes, workers: int) -> Forecasts:  # noqa: ARG001
+    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:  # noqa: ARG001
         return _seeing(network, test, manifest.final_step)
 
     def fits(subject: Subject) -> bool:
         return subject.objects == manifest.objects
 
-    return Row(manifest.label, forecasts, sequences, given_states=False, fits=fits)
+    return Row(
+        manifest.label, forecasts, learns=False, given_states=False, fits=fits, sequences=sequences
+    )
 
 
 def _seeing(network: Network, test: FixedScenes, final_step: int | None = None) -> Forecasts:
@@ -352,6 +378,6 @@ def _seeing(network: Network, test: FixedScenes, final_step: int | None = None) 
     return forecast(alone, windows, horizon, torch.device("cpu"))["it"]
 
 
-def folder(subject: Subject, method: str) -> Path:
+def folder(subject: Subject, method: str, effort: Effort) -> Path:
     """Where a row that learns keeps its checkpoint and its best weights."""
-    return runs_folder() / "studies" / subject.name / method.replace(" ", "-")
+    return runs_folder() / "studies" / subject.name / (method.replace(" ", "-") + effort.suffix)

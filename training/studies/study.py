@@ -8,7 +8,7 @@ from training.evaluate import measured_at
 from training.metrics import Forecasts
 from training.paper import published
 from training.results import Cell, Curve, Results, curve_of
-from training.studies.rows import Row
+from training.studies.rows import Effort, Row
 from training.studies.subject import FixedScenes, Subject
 
 
@@ -31,7 +31,7 @@ class Study:
     rows: Callable[[], tuple[Row, ...]]
     by_scenes: bool = False
 
-    def run(self, file: Path, scenes: int, workers: int, methods: Iterable[str]) -> Iterator[str]:
+    def run(self, file: Path, scenes: int, effort: Effort, methods: Iterable[str]) -> Iterator[str]:
         """Train and measure the rows that ``file`` lacks; yield what has been done.
 
         Parameters
@@ -52,17 +52,19 @@ class Study:
             for row in rows:
                 if not row.fits(subject) or (wanted and row.method not in wanted):
                     continue
-                if _known(Results.read(file), self.name, subject, row, scenes):
+                if _known(Results.read(file), self.name, subject, row, scenes, effort):
                     continue
-                test = test or FixedScenes(subject, "test", scenes, workers)
-                made = row.forecasts(test, workers)
-                cells, curve = measured(self.name, subject, row, made)
+                test = test or FixedScenes(subject, "test", scenes, effort.workers)
+                made = row.forecasts(test, effort)
+                cells, curve = measured(self.name, subject, row, made, effort)
                 Results.read(file).with_row(cells, curve).write(file)
                 at = cells[-1]
                 yield f"{subject.name}, {row.method}: {at.position_error_px:.2f} px at {at.at}"
 
 
-def measured(study: str, subject: Subject, row: Row, made: Forecasts) -> tuple[list[Cell], Curve]:
+def measured(
+    study: str, subject: Subject, row: Row, made: Forecasts, effort: Effort
+) -> tuple[list[Cell], Curve]:
     """Measure a row at the moments that are compared, and its error over time."""
     cells: list[Cell] = []
     reached = {at: T for at, T in subject.moments.items() if made.positions.shape[2] >= T}
@@ -78,7 +80,7 @@ def measured(study: str, subject: Subject, row: Row, made: Forecasts) -> tuple[l
             at=at,
             **figures_at[horizon]._asdict(),
             test_sequences=len(made.positions),
-            training_sequences=row.sequences,
+            training_sequences=row.trained_on(effort),
             paper_px=None if paper is None else paper.position_error_px,
             study=study,
             condition=condition,
@@ -88,12 +90,22 @@ def measured(study: str, subject: Subject, row: Row, made: Forecasts) -> tuple[l
     return cells, replace(curve, study=study, condition=subject.condition)
 
 
-def _known(results: Results, study: str, subject: Subject, row: Row, scenes: int) -> bool:
-    """Whether a row has been measured with its budget, and on at least as many scenes if on all."""
+def _known(
+    results: Results, study: str, subject: Subject, row: Row, scenes: int, effort: Effort
+) -> bool:
+    """Whether a row has been measured with as much training, and as many scenes if with all."""
     wanted = (study, subject.scenario, subject.objects, subject.condition, row.method)
     return any(
         (cell.study, cell.scenario, cell.objects, cell.condition, cell.method) == wanted
-        and cell.training_sequences == row.sequences
+        and _enough(cell.training_sequences, row, effort)
         and (cell.test_sequences >= scenes or subject.condition != "")
         for cell in results.cells
     )
+
+
+def _enough(sequences: int | None, row: Row, effort: Effort) -> bool:
+    """Whether a row has seen what it would now; more of it is as good where it learns."""
+    wanted = row.trained_on(effort)
+    if row.learns and sequences is not None and wanted is not None:
+        return sequences >= wanted
+    return sequences == wanted

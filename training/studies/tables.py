@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from training.report import title
 from training.results import Cell, Curve, Results
 from training.studies.claims import CLAIMS, Verdict, verdicts
+from training.studies.rows import Row
 from training.studies.study import Study
 from training.studies.subject import Subject
 
@@ -81,9 +82,18 @@ def _table(study: Study, results: Results) -> str:
             for subject, at in columns
         ]
         given = "states" if row.given_states else "frames"
-        seen = "-" if row.sequences is None else f"{row.sequences:,}"
-        lines.append(f"| {row.method} | {given} | {' | '.join(texts)} | {seen} |")
+        lines.append(f"| {row.method} | {given} | {' | '.join(texts)} | {_seen(results, row)} |")
     return "\n".join(lines)
+
+
+def _seen(results: Results, row: Row) -> str:
+    """Training sequences of a line's cells, the fewest and the most where they differ."""
+    of_row = [cell.training_sequences for cell in results.cells if cell.method == row.method]
+    return " to ".join(f"{number:,}" for number in _ends({n for n in of_row if n})) or "-"
+
+
+def _ends(numbers: set[int]) -> list[int]:
+    return sorted({min(numbers), max(numbers)}) if numbers else []
 
 
 def _table_by_scenes(study: Study, results: Results) -> str:
