@@ -59,7 +59,8 @@ def _answer(settings: "Settings", source: "socket.socket | Siblings") -> None:
     """Serve connections from a listening socket, or from the process that accepts them."""
     from service.loading import begin_loading
 
-    load = begin_loading(settings.models_dir)
+    alone = isinstance(source, socket.socket)
+    load = begin_loading(settings.models_dir, proves=(0, 1) if alone else source.proves)
     # The web framework takes as long as the models: they load meanwhile, on another core.
     from service.server import serve
 

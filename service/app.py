@@ -119,5 +119,6 @@ async def _load(state: State) -> None:
     """Load the models while the service already answers that it does so."""
     state.serve(await asyncio.to_thread(state.load, state.settings.models_dir))
     if state.siblings is not None:
-        await state.siblings.ready()
+        refused = await state.siblings.ready(state.registry.refused)
+        state.serve(state.registry.refusing(refused))
     state.phase = "serving"

@@ -15,11 +15,11 @@ import socket
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from service.settings import share_metrics
 from service.siblings import Board, Siblings, line
@@ -33,11 +33,11 @@ NO_DESCRIPTORS_S = 0.1
 
 
 class _Asked(NamedTuple):
-    """A change of a model, and the process that has asked for it; None for this one."""
+    """A change of a model, and the process that has asked for it."""
 
     change: str
     name: str
-    by: "_Process | None"
+    by: "_Process"
 
 
 class _Process:
@@ -49,6 +49,8 @@ class _Process:
         Connections that it has been handed.
     begun
         Whether it has its models and forecasts with them.
+    behind
+        Changes of models that it has still to repeat before it begins.
     """
 
     def __init__(self, place: int, channel: socket.socket) -> None:
@@ -56,6 +58,7 @@ class _Process:
         self.channel = channel
         self.given = 0
         self.begun = False
+        self.behind = 0
         self._text = b""
         channel.settimeout(GIVE_UP_S)
 
@@ -76,7 +79,7 @@ class _Process:
         self.given += 1
         return True
 
-    def heard(self) -> list[list[str]] | None:
+    def heard(self) -> list[list[Any]] | None:
         """Return what it has said; None when it is gone."""
         try:
             data = self.channel.recv(64 * 1024)
@@ -114,6 +117,7 @@ class Processes:
         self._changes: deque[_Asked] = deque()
         self._awaited: set[_Process] = set()
         self._last: dict[str, str] = {}
+        self._refused: dict[str, str] = {}
         self._have_begun = False
         self._stopping = False
         self._status = 0
@@ -165,7 +169,9 @@ class Processes:
         for channel in (ours, self._listener, *(other.channel for other in self._running)):
             channel.close()
         self._selector.close()
-        self._run(Siblings(place, theirs, self._board))
+        # What starts together shares the proofs out; who comes later proves all.
+        proves = (0, 1) if self._have_begun else (place, self._count)
+        self._run(Siblings(place, theirs, self._board, proves))
 
     def _accept(self) -> None:
         try:
@@ -189,33 +195,48 @@ class Processes:
         if said is None:
             self._bury(process)
             return
-        for word, *name in said:
-            match word:
-                case "ready":
-                    self._ready(process)
-                case "did":
+        for words in said:
+            match words:
+                case ["ready", refused]:
+                    self._ready(process, refused)
+                case ["did"] if process.behind:
+                    process.behind -= 1
+                    self._catch_up(process)
+                case ["did"]:
                     self._awaited.discard(process)
                     self._end_change()
-                case change:
-                    self._changes.append(_Asked(change, *name, by=process))
+                case [change, name]:
+                    self._changes.append(_Asked(change, name, by=process))
                     self._begin_change()
+                case other:
+                    raise ValueError(other)
 
-    def _ready(self, process: _Process) -> None:
+    def _ready(self, process: _Process, refused: Mapping[str, str]) -> None:
         """Let all begin at once, so that connections are shared out evenly from the first on."""
-        process.begun = True
         if self._have_begun:
             # It has loaded what the folder holds, perhaps not what is served since.
-            self._changes.extend(_Asked(change, name, None) for name, change in self._last.items())
-            self._begin_change()
-            process.say("begin")
-        elif len(self._running) == self._count and all(one.begun for one in self._running):
+            repeated = [process.say(change, name, False) for name, change in self._last.items()]
+            process.behind = len(repeated)
+            self._catch_up(process)
+            return
+        process.begun = True
+        self._refused.update(refused)
+        if len(self._running) == self._count and all(one.begun for one in self._running):
             self._have_begun = True
             for one in self._running:
-                one.say("begin")
+                one.say("begin", self._refused)
+
+    def _catch_up(self, process: _Process) -> None:
+        """Let a process that replaces another begin once it serves what the others do."""
+        if not process.behind:
+            process.begun = True
+            process.say("begin", {})
+            self._begin_change()
 
     def _begin_change(self) -> None:
         """Tell everybody about the next change, unless one is going on: all see one order."""
-        if self._awaited or not self._changes:
+        going_on = self._awaited or any(process.behind for process in self._running)
+        if going_on or not self._changes:
             return
         change, name, by = self._changes[0]
         known = [one for one in self._running if one.begun]
@@ -226,9 +247,7 @@ class Processes:
     def _end_change(self) -> None:
         if self._awaited or not self._changes:
             return
-        by = self._changes.popleft().by
-        if by is not None:
-            by.say("done")
+        self._changes.popleft().by.say("done")
         self._begin_change()
 
     def _bury(self, process: _Process) -> None:
@@ -238,8 +257,10 @@ class Processes:
         ended.terminate()
         ended.join()
         self._forget_figures(ended.pid)
-        self._awaited.discard(process)
-        self._end_change()
+        if process in self._awaited:
+            self._awaited.discard(process)
+            self._end_change()
+        self._begin_change()
         if self._stopping:
             return
         if self._have_begun:

@@ -8,7 +8,7 @@ import asyncio
 import json
 import socket
 from collections import deque
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
 from multiprocessing.sharedctypes import RawArray
 from typing import TYPE_CHECKING, NamedTuple
@@ -66,13 +66,19 @@ class Siblings:
         To the process that has started it.
     board
         Shared by all.
+    proves
+        Which models it proves: of so many processes, those of the n-th.
     """
 
-    def __init__(self, place: int, channel: socket.socket, board: Board) -> None:
+    def __init__(
+        self, place: int, channel: socket.socket, board: Board, proves: tuple[int, int]
+    ) -> None:
+        self.proves = proves
         self._place = place
         self._channel = channel
         self._board = board
         self._begun = asyncio.Event()
+        self._refused: dict[str, str] = {}
         self._text = b""
         self._connections: deque[int] = deque()
         self._asked: deque[asyncio.Future[None]] = deque()
@@ -98,10 +104,22 @@ class Siblings:
         self._channel.setblocking(False)
         asyncio.get_running_loop().add_reader(self._channel, self._read, service)
 
-    async def ready(self) -> None:
-        """Say that the models are there, and wait until all processes have theirs."""
-        self._say("ready")
+    async def ready(self, refused: Mapping[str, str]) -> Mapping[str, str]:
+        """Say that the models are there, and wait until all processes have theirs.
+
+        Parameters
+        ----------
+        refused
+            Reasons by NAME@VERSION.
+
+        Returns
+        -------
+        Mapping
+            Those of all processes.
+        """
+        self._say("ready", refused)
         await self._begun.wait()
+        return self._refused
 
     async def everywhere(self, change: str, name: str) -> None:
         """Change a model in all processes; raises what the change raises in this one."""
@@ -130,7 +148,8 @@ class Siblings:
             match json.loads(text):
                 case ["connection"]:
                     self._do(self._take(self._connections.popleft(), service))
-                case ["begin"]:
+                case ["begin", refused]:
+                    self._refused = refused
                     self._begun.set()
                 case ["done"]:
                     self._answer()

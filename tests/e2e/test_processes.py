@@ -1,6 +1,8 @@
 """Several processes that answer on one address: what a client may not notice."""
 
+import hashlib
 import re
+import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -8,11 +10,13 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 
 import httpx2
+import numpy as np
 import psutil
 import pytest
 
 from rollcast.client import Client
-from tests.e2e.conftest import start_service, stop_service, wait_until_ready
+from rollcast.manifest import GOLDEN_FILE, MANIFEST_FILE, Manifest
+from tests.e2e.conftest import ROOT, start_service, stop_service, wait_until_ready
 from tests.service.samples import body
 
 PROCESSES = 3
@@ -142,6 +146,24 @@ def test_one_that_is_killed_is_replaced_and_knows_what_was_changed(service, conn
     assert statuses(clients) == {"unloaded"}
     assert change(clients[0], "load") == 200
     assert statuses(clients) == {"ready"}
+
+
+def test_what_one_of_them_refuses_none_serves(tmp_path):
+    models = tmp_path / "models"
+    for name in ("posnet", "dispnet", "fieldnet"):
+        folder = models / name / "1"
+        shutil.copytree(ROOT / "models" / name / "1", folder)
+        with np.load(folder / GOLDEN_FILE) as golden:
+            np.savez(folder / GOLDEN_FILE, **{k: v + (k == "positions") for k, v in golden.items()})
+        known = Manifest.read(folder / MANIFEST_FILE)
+        digest = hashlib.sha256((folder / GOLDEN_FILE).read_bytes()).hexdigest()
+        files = {**known.files, GOLDEN_FILE: digest}
+        known.model_copy(update={"files": files}).write(folder / MANIFEST_FILE)
+    service = Service(ROLLCAST_MODELS_DIR=str(models))
+    with Client(service.address) as client:
+        wait_until_ready(client)
+        assert client.health().status == "no usable model"
+    assert stop_service(service.popen) == 0
 
 
 def test_one_that_dies_before_it_could_forecast_ends_the_service():
