@@ -117,7 +117,9 @@ def create_app(
 
 async def _load(state: State) -> None:
     """Load the models while the service already answers that it does so."""
-    state.serve(await asyncio.to_thread(state.load, state.settings.models_dir))
+    with state.metrics.loading.time():
+        registry = await asyncio.to_thread(state.load, state.settings.models_dir)
+    state.serve(registry)
     if state.siblings is not None:
         refused = await state.siblings.ready(state.registry.refused)
         state.serve(state.registry.refusing(refused))

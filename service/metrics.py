@@ -3,7 +3,14 @@
 from collections.abc import Callable
 
 from fastapi import FastAPI
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    Summary,
+    generate_latest,
+)
 from prometheus_client.multiprocess import MultiProcessCollector
 from prometheus_fastapi_instrumentator import Instrumentator
 
@@ -50,6 +57,14 @@ class Metrics:
         self._refused = Counter(
             "rollcast_refused", "Refused requests", ["problem"], registry=self.registry
         )
+        # Files in which several processes count, one a kind of figure, are opened at the start:
+        # with the first request there might be no room for them.
+        self._refused.labels("queue-full")
+        self.loading = Summary(
+            "rollcast_loading_seconds",
+            "Time in which a process has loaded its models at its start",
+            registry=self.registry,
+        )
         self._models = Gauge(
             "rollcast_models",
             "Versions of models, by whether they are served",
@@ -78,7 +93,9 @@ class Metrics:
         self._refused.labels(problem).inc()
 
     def models(self, registry: Registry) -> None:
-        """Count the models that there are."""
+        """Count the models that there are, and have figures for those that are served."""
+        for predictor in registry.served:
+            self.batches(predictor)
         for status in ("ready", "refused", "unloaded"):
             found = sum(model.status == status for model in registry.models)
             self._models.labels(status).set(found)

@@ -40,7 +40,7 @@ def main() -> None:
     table += [finding.row() for finding in findings]
     costs = curve.measure(given.seconds)
     curve.draw(costs, PICTURE)
-    loads = comparison.measure(given.rounds, given.seconds / 2)
+    loads = comparison.measure(given.rounds, given.seconds)
     parts = [
         PREAMBLE,
         *table,
