@@ -123,4 +123,5 @@ async def _load(state: State) -> None:
     if state.siblings is not None:
         refused = await state.siblings.ready(state.registry.refused)
         state.serve(state.registry.refusing(refused))
-    state.phase = "serving"
+    if state.phase == "loading":
+        state.phase = "serving"

@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 from service.settings import share_metrics
 from service.siblings import Board, Siblings, line
 
+STOPS = (signal.SIGTERM, signal.SIGINT)
 GIVE_UP_S = 1.0
 """After which a process that does not read what it is sent is given up."""
 MEMORY = Path("/dev/shm")
@@ -129,7 +130,7 @@ class Processes:
         """
         with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as folder:
             share_metrics(folder)
-            for number in (signal.SIGTERM, signal.SIGINT):
+            for number in STOPS:
                 signal.signal(number, self._stop)
             self._listener.setblocking(False)
             self._selector.register(self._listener, selectors.EVENT_READ)
@@ -153,18 +154,22 @@ class Processes:
         ours, theirs = socket.socketpair()
         self._board.held[place] = self._board.closed[place] = 0
         process = self._context.Process(target=self._become, args=(place, ours, theirs))
+        # Until it is known here, and answers for itself there, a signal waits: it would be lost.
+        signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
         process.start()
         theirs.close()
         mine = _Process(place, ours)
         self._running[mine] = process
         self._selector.register(ours, selectors.EVENT_READ, mine)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
         if self._stopping:
             process.terminate()
 
     def _become(self, place: int, ours: socket.socket, theirs: socket.socket) -> None:
         """Be one of them, with nothing of the others' left open."""
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in STOPS:
             signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
         os.setpgrp()  # Ctrl-C is for the one that started it, which tells the others once
         for channel in (ours, self._listener, *(other.channel for other in self._running)):
             channel.close()

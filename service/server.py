@@ -3,6 +3,7 @@
 import asyncio
 import socket
 from functools import partial
+from types import FrameType
 from typing import Any
 
 import uvicorn
@@ -66,6 +67,13 @@ class Server(uvicorn.Server):
             "app_state": self.lifespan.state,
         }
         return self.config.http_protocol_class(**given)
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Take no more from the signal on: others that answer are told at the same moment."""
+        super().handle_exit(sig, frame)
+        state: State | None = getattr(self._app.state, "service", None)
+        if state is not None:  # it has none before it has begun
+            state.phase = "draining"
 
     def _end(self) -> None:
         self.should_exit = True

@@ -174,6 +174,13 @@ def test_one_that_dies_before_it_could_forecast_ends_the_service():
     assert service.popen.returncode not in {0, None}
 
 
+def test_a_stop_is_heard_at_any_moment_of_the_start():
+    for delay in (0.0, 0.002, 0.005, 0.01, 0.02, 0.05, 0.2, 0.5, 1.0):
+        service = Service()
+        time.sleep(delay)
+        assert stop_service(service.popen) in {0, -signal.SIGTERM}
+
+
 def test_none_outlives_the_one_that_has_started_it():
     service = Service()
     with Client(service.address) as client:
