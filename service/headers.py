@@ -1,9 +1,8 @@
 """Headers that every answer carries: what a browser may do with it, and who may read it."""
 
-from collections.abc import Mapping
-
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
+from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rollcast.http import REPLICA_HEADER, REQUEST_ID_HEADER
@@ -25,33 +24,25 @@ DESCRIPTION = (
 POLICY = "Content-Security-Policy"
 
 
-def _raw(headers: Mapping[str, str]) -> dict[bytes, bytes]:
-    """Return headers as messages of ASGI have them."""
-    return {name.lower().encode(): value.encode() for name, value in headers.items()}
-
-
-POLICY_OF_DATA = _raw({POLICY: NOTHING_RUNS})
-POLICY_OF_PAGES = _raw({POLICY: DESCRIPTION})
-
-
 class SecurityHeaders:
     """Adds the headers to every answer of an app."""
 
     def __init__(self, app: ASGIApp, origins: tuple[str, ...]) -> None:
         self._app = app
-        resources = {"Cross-Origin-Resource-Policy": "cross-origin" if origins else "same-origin"}
-        self._always = _raw(ALWAYS | resources)
+        self._always = ALWAYS | {
+            "Cross-Origin-Resource-Policy": "cross-origin" if origins else "same-origin"
+        }
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer as the app does."""
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                given = dict(message["headers"])
-                is_page = given.get(b"content-type", b"").startswith(b"text/html")
-                added = self._always | (POLICY_OF_PAGES if is_page else POLICY_OF_DATA)
-                own = [(name, value) for name, value in added.items() if name not in given]
-                message = {**message, "headers": [*message["headers"], *own]}
+                headers = MutableHeaders(scope=message)
+                for name, value in self._always.items():
+                    headers.setdefault(name, value)
+                is_page = headers.get("content-type", "").startswith("text/html")
+                headers.setdefault(POLICY, DESCRIPTION if is_page else NOTHING_RUNS)
             await send(message)
 
         await self._app(scope, receive, with_headers)

@@ -26,7 +26,7 @@ from service.siblings import Board, Siblings, line
 
 STOPS = (signal.SIGTERM, signal.SIGINT)
 GIVE_UP_S = 1.0
-"""After which a process that does not read what it is sent is given up."""
+"""After which a process that does not read what it is sent is passed over."""
 MEMORY = Path("/dev/shm")
 """Where figures are counted: on a disk that is full, writing one would end the process."""
 NO_DESCRIPTORS_S = 0.1
@@ -220,8 +220,9 @@ class Processes:
         """Let all begin at once, so that connections are shared out evenly from the first on."""
         if self._have_begun:
             # It has loaded what the folder holds, perhaps not what is served since.
-            repeated = [process.say(change, name, False) for name, change in self._last.items()]
-            process.behind = len(repeated)
+            for name, change in self._last.items():
+                process.say(change, name, False)
+            process.behind = len(self._last)
             self._catch_up(process)
             return
         process.begun = True

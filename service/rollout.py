@@ -64,15 +64,11 @@ def roll_out(
 def stacked(rows: Sequence[Outputs]) -> dict[OutputName, Float32[np.ndarray, "B N T ..."]]:
     """Stack the outputs of all steps along a new third axis; a final position has no steps."""
     return {
-        name: values if name == "final_positions" else _along_time([row[name] for row in rows])
-        for name, values in rows[0].items()
+        name: rows[0][name]
+        if name == "final_positions"
+        else np.stack([row[name] for row in rows], axis=2)
+        for name in rows[0]
     }
-
-
-def _along_time(steps: Sequence[np.ndarray]) -> np.ndarray:
-    """Stack arrays [B, N, ...] to [B, N, T, ...]; np.stack takes ten times as long."""
-    joined = np.concatenate(steps).reshape(len(steps), *steps[0].shape)
-    return joined.transpose(1, 2, 0, *range(3, joined.ndim))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from jaxtyping import UInt8
 from service.rollout import Arrays, Outputs, Predictor
 from service.siblings import Siblings
 from service.waiting import Patience
-from service.workers import Counter, Places
+from service.workers import Gauge, Places
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
@@ -209,7 +209,7 @@ class Scheduler:
         threads: int,
         capacity: int,
         max_batch: int,
-        shown: Counter,
+        shown: Gauge,
         batches: Callable[[Predictor], Callable[[float], None]],
         siblings: Siblings | None = None,
     ) -> None:

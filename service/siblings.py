@@ -175,7 +175,8 @@ class Siblings:
         try:
             await service.change(change, name)
         except Exception as error:  # is raised where the change was asked for
-            self._outcome = error if is_own else None
+            if is_own:
+                self._outcome = error
         self._say("did")
 
     def _answer(self) -> None:

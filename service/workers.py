@@ -12,8 +12,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class Counter(Protocol):
-    """Follows a number."""
+class Gauge(Protocol):
+    """Follows a number, as Prometheus' own does."""
 
     def inc(self) -> None:
         """Count one more."""
@@ -35,7 +35,7 @@ class Places:
         Follows the number that is taken.
     """
 
-    def __init__(self, capacity: int, shown: Counter) -> None:
+    def __init__(self, capacity: int, shown: Gauge) -> None:
         self._capacity = capacity
         self._shown = shown
         self._taken = 0
@@ -82,7 +82,7 @@ class Workers:
         Follows the number that it holds.
     """
 
-    def __init__(self, executor: Executor, capacity: int, shown: Counter) -> None:
+    def __init__(self, executor: Executor, capacity: int, shown: Gauge) -> None:
         self._executor = executor
         self._places = Places(capacity, shown)
 

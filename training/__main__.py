@@ -3,17 +3,16 @@
 import argparse
 import importlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import ModuleType
 
-from rollcast.errors import FootageError
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from rollcast.scene import SCENARIOS
-from training import calibration, campaign, real
+from training import calibration, campaign, clip_commands
 from training.artefact import initial_networks, load_exported
-from training.clips import Clips, rig_clips
+from training.clips import Clips
 from training.dissect import dissected, dissection_table
 from training.evaluate import evaluation_sets, markdown_table, metric_rows, run
 from training.export import export_run, with_covariance
@@ -23,23 +22,21 @@ from training.models.fieldnet import FieldNet
 from training.models.paper import VggEncoder, load_imagenet
 from training.models.predictor import Predictor
 from training.plots import draw_training
-from training.publish import RESULTS, publish, publish_study
+from training.publish import DOCS, RESULTS, publish, publish_study
 from training.quantise import NotWorthItError, quantise
 from training.recipes import RECIPES
 from training.report import with_results
 from training.results import committed
 from training.rig_export import export_rig
-from training.rig_report import BASELINES, Rig, markdown, measure
 from training.settings import runs_folder
 from training.simulate import Source, data_folder, in_processes, make_missing, split_shards
 from training.splits import Split
 from training.studies import STUDIES
 from training.studies.rows import BUDGET, Effort
-from training.trainer import BEST, Pace, Trainer
+from training.trainer import Pace, Trainer
 
 MODELS = Path("models")
 README = Path("README.md")
-DOCS = Path("docs")
 
 
 def main() -> None:
@@ -96,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
         help="exported models (models/NAME/VERSION) or a run's folder to start from; the first "
         "one's encoder wins",
     )
-    _add_clips(train)
+    clip_commands.add_options(train)
     train.add_argument(
         "--imagenet",
         type=Path,
@@ -108,21 +105,7 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--processes", type=int, default=2, help="how many (with --ray)")
     train.set_defaults(run=_train)
 
-    rig = commands.add_parser(
-        "rig", help="measure networks trained on clips, and the baselines, on the test clips"
-    )
-    rig.add_argument("recipe", choices=[name for name in RECIPES if name.startswith("rig-")])
-    rig.add_argument("--data", type=Path, required=True, metavar="FOLDER", help="clips with tracks")
-    rig.add_argument("--balls", type=int, nargs="+", metavar="BALL", help="as they were trained")
-    _add_baselines(rig)
-    rig.set_defaults(run=_rig)
-
-    footage = commands.add_parser(
-        "real", help="track, train and measure docs/results/real.md, where its clips are"
-    )
-    footage.add_argument("clips", type=Path, metavar="FOLDER", help="the clips that it names")
-    _add_baselines(footage)
-    footage.set_defaults(run=_real)
+    clip_commands.add(commands, _show_lines)
 
     curve = commands.add_parser("curve", help="draw the loss and the validation errors of a run")
     curve.add_argument("recipe", choices=sorted(RECIPES))
@@ -157,7 +140,7 @@ def _parser() -> argparse.ArgumentParser:
     exported.add_argument("--version", type=int, default=1)
     exported.add_argument("--models", type=Path, default=MODELS)
     exported.add_argument("--scenes", type=int, default=500, help="test scenes per scenario")
-    _add_clips(exported)
+    clip_commands.add_options(exported)
     exported.add_argument("--name", help="of a model for clips (default: the recipe's)")
     exported.set_defaults(run=_export)
 
@@ -219,28 +202,6 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_clips(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--data",
-        type=Path,
-        metavar="FOLDER",
-        help="clips with tracks (rollcast track) for the recipes rig-...: your own set-up",
-    )
-    command.add_argument(
-        "--balls",
-        type=int,
-        nargs="+",
-        metavar="BALL",
-        help="of the clips' balls, those to forecast (default: all, for rig-one-ball the first)",
-    )
-
-
-def _add_baselines(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--baselines", nargs="*", choices=BASELINES, default=list(BASELINES), help="default: all"
-    )
-
-
 def _add_ray(command: argparse.ArgumentParser, what: str) -> None:
     command.add_argument(
         "--ray",
@@ -287,7 +248,7 @@ def _train(arguments: argparse.Namespace) -> None:
     initial = [one for start in arguments.init for one in initial_networks(start)]
     pace = Pace(arguments.validate_every, simulators=arguments.workers)
     imagenet = arguments.imagenet and arguments.imagenet.resolve()
-    clips = _clips(arguments)
+    clips = clip_commands.clips_of(arguments)
     run = partial(_run_training, arguments.recipe, folder, pace, initial, imagenet, clips)
     if arguments.ray is None:
         error = run()
@@ -314,39 +275,9 @@ def _run_training(
     return trainer.run()
 
 
-def _clips(arguments: argparse.Namespace) -> dict[Split, Clips] | None:
-    try:
-        return rig_clips(RECIPES[arguments.recipe](), arguments.data, arguments.balls)
-    except FootageError as error:
-        raise SystemExit(str(error)) from error
-
-
-def _rig(arguments: argparse.Namespace) -> None:
-    recipe = RECIPES[arguments.recipe]()
-    if not arguments.data.is_dir():
-        print(f"skipped: there are no clips at {arguments.data}")
-        return
-    clips = _clips(arguments)
-    assert clips is not None
-    rig = Rig(clips)
-    there = (runs_folder() / recipe.name / BEST).exists()
-    rows = list(measure(rig, arguments.baselines, [recipe] if there else []))
-    print(markdown(rows, rig))
-
-
-def _real(arguments: argparse.Namespace) -> None:
-    missing = [
-        file
-        for filmed in (real.ARENA, *real.POOL)
-        for file in filmed.clips
-        if not (arguments.clips / file).exists()
-    ]
-    if missing:
-        print(f"skipped: {arguments.clips} has no {', '.join(missing)}")
-        return
-    page = DOCS / "results" / "real.md"
-    for done in real.make(arguments.clips, page, arguments.baselines):
-        print(done, flush=True)
+def _show_lines(lines: Iterable[str]) -> None:
+    for line in lines:
+        print(line, flush=True)
 
 
 def _curve(arguments: argparse.Namespace) -> None:
@@ -390,7 +321,7 @@ def _dissect(arguments: argparse.Namespace) -> None:
 
 def _export(arguments: argparse.Namespace) -> None:
     recipe, folder = RECIPES[arguments.recipe](), runs_folder() / arguments.recipe
-    clips = _clips(arguments)
+    clips = clip_commands.clips_of(arguments)
     try:
         if clips is None:
             manifests = export_run(

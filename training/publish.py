@@ -18,6 +18,8 @@ from training.simulate import SHARD_SCENES
 from training.studies import tables
 from training.studies.study import Study
 
+DOCS = Path("docs")
+"""Where pages are written, of the folder that commands are run in."""
 RESULTS = "results.json"
 STEPS_BETWEEN_ELLIPSES = 5
 

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,11 +50,11 @@ def service(**settings: str) -> Iterator[tuple[str, psutil.Process]]:
 
 def answering(process: psutil.Process) -> list[psutil.Process]:
     """The processes of a service that answer: those that it has started for that, or itself."""
-    return [
-        child
-        for child in process.children()
-        if child.status() != psutil.STATUS_ZOMBIE and child.cmdline() == process.cmdline()
-    ] or [process]
+    found: list[psutil.Process] = []
+    for child in process.children():
+        with suppress(psutil.NoSuchProcess):  # one that has just died has no command line
+            found += [child] if child.cmdline() == process.cmdline() else []
+    return found or [process]
 
 
 def bare(seconds: float, *options: str, processes: int = 1) -> list[list[float]]:

@@ -16,6 +16,7 @@ import pytest
 
 from rollcast.client import Client
 from rollcast.manifest import GOLDEN_FILE, MANIFEST_FILE, Manifest
+from tests.bench.harness import answering
 from tests.e2e.conftest import ROOT, start_service, stop_service, wait_until_ready
 from tests.service.samples import body
 
@@ -34,8 +35,7 @@ class Service:
         self.process = psutil.Process(self.popen.pid)
 
     def answering(self) -> list[psutil.Process]:
-        """Processes that answer; those that simulate, and what Python starts, are theirs."""
-        return self.process.children()
+        return answering(self.process)
 
 
 @pytest.fixture(scope="module")

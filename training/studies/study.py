@@ -97,15 +97,13 @@ def _known(
     wanted = (study, subject.scenario, subject.objects, subject.condition, row.method)
     return any(
         (cell.study, cell.scenario, cell.objects, cell.condition, cell.method) == wanted
-        and _enough(cell.training_sequences, row, effort)
+        and _enough(cell.training_sequences or 0, row, effort)
         and (cell.test_sequences >= scenes or subject.condition != "")
         for cell in results.cells
     )
 
 
-def _enough(sequences: int | None, row: Row, effort: Effort) -> bool:
+def _enough(sequences: int, row: Row, effort: Effort) -> bool:
     """Whether a row has seen what it would now; more of it is as good where it learns."""
-    wanted = row.trained_on(effort)
-    if row.learns and sequences is not None and wanted is not None:
-        return sequences >= wanted
-    return sequences == wanted
+    wanted = row.trained_on(effort) or 0
+    return sequences >= wanted if row.learns else sequences == wanted

@@ -88,12 +88,14 @@ def _table(study: Study, results: Results) -> str:
 
 def _seen(results: Results, row: Row) -> str:
     """Training sequences of a line's cells, the fewest and the most where they differ."""
-    of_row = [cell.training_sequences for cell in results.cells if cell.method == row.method]
-    return " to ".join(f"{number:,}" for number in _ends({n for n in of_row if n})) or "-"
-
-
-def _ends(numbers: set[int]) -> list[int]:
-    return sorted({min(numbers), max(numbers)}) if numbers else []
+    of_row = [
+        cell.training_sequences
+        for cell in results.cells
+        if cell.method == row.method and cell.training_sequences
+    ]
+    if not of_row:
+        return "-"
+    return " to ".join(f"{number:,}" for number in sorted({min(of_row), max(of_row)}))
 
 
 def _table_by_scenes(study: Study, results: Results) -> str:
