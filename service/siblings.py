@@ -146,8 +146,10 @@ class Siblings:
         *lines, self._text = (self._text + data).split(b"\n")
         for text in lines:
             match json.loads(text):
-                case ["connection"]:
+                case ["connection"] if self._connections:
                     self._do(self._take(self._connections.popleft(), service))
+                case ["connection"]:  # closed by the system: no descriptor was left for it
+                    self.closed()
                 case ["begin", refused]:
                     self._refused = refused
                     self._begun.set()
