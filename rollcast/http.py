@@ -165,6 +165,10 @@ class PredictResponse(ForecastSummary):
     objects: list[ForecastObject]
     times_s: list[float]
     """Seconds after the last observed frame of each step."""
+    half_radii: list[float]
+    """[horizon]: radius, in standard deviations of ``covariances``, of the ellipse that should hold
+    the truth every second time; 1.18 of a Gaussian, less where the model's errors have heavy tails.
+    The ellipse that should hold 95 % always has a Gaussian's radius, 2.45."""
 
 
 class StreamObject(ResponseBody):
@@ -185,6 +189,8 @@ class StreamStep(ResponseBody):
     step: int
     time_s: float
     """Seconds after the last observed frame."""
+    half_radius: float
+    """Of this step, as in ``PredictResponse.half_radii``."""
     objects: list[StreamObject]
 
 

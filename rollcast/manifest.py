@@ -4,6 +4,7 @@ Pixels are those of 128 x 128 frames, angular velocities rad/s, steps are counte
 last observed frame. The artefact's files and graphs are described in ``docs/decisions``.
 """
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -67,6 +68,10 @@ class Output(_Part):
     unit: str
 
 
+GAUSSIAN_HALF_RADIUS = math.sqrt(-2 * math.log(0.5))
+"""Radius, in standard deviations, of the ellipse that holds half of a plane's Gaussian."""
+
+
 class CovarianceSource(_Part):
     """Where the forecast's covariances come from (px^2)."""
 
@@ -76,6 +81,9 @@ class CovarianceSource(_Part):
     """Predicted: factor on the covariance of each step, the last one held beyond."""
     empirical: tuple[Matrix2, ...] | None = None
     """Empirical: covariance of the residuals at each step, the last one held beyond."""
+    half_radius: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    """Radius, in standard deviations, of the ellipse that held half of the validation data at each
+    step, the last one held beyond; None is a Gaussian's. Residuals with heavy tails need less."""
 
     @model_validator(mode="after")
     def _source_and_values_agree(self) -> "CovarianceSource":

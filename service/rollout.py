@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 from rollcast.familiarity import Familiarity
-from rollcast.manifest import CovarianceSource, Manifest, OutputName
+from rollcast.manifest import GAUSSIAN_HALF_RADIUS, CovarianceSource, Manifest, OutputName
 from service.errors import DivergedError
 
 Arrays = Mapping[str, np.ndarray]
@@ -79,6 +79,8 @@ class Forecast:
     """Pixels."""
     covariances: Float[np.ndarray, "B N T 2 2"]
     """Square pixels."""
+    half_radii: Float[np.ndarray, " T"]
+    """Standard deviations: of the ellipses that should hold half of the truths."""
     angular_velocities: Float[np.ndarray, "B N T 3"] | None
     """rad/s."""
     final_positions: Float[np.ndarray, "B N 2"] | None
@@ -98,6 +100,7 @@ class Forecast:
         return Forecast(
             self.positions * length,
             self.covariances * length**2,
+            self.half_radii,
             None if turning is None else turning * rate,
             None if final is None else final * length,
         )
@@ -128,8 +131,13 @@ def assemble(
         if covariance.variance_scale is not None:
             scale = np.array(covariance.variance_scale)
             covariances = covariances * scale[_held(steps, len(scale)), None, None]
+    half = np.array(covariance.half_radius or [GAUSSIAN_HALF_RADIUS])
     forecast = Forecast(
-        positions, covariances, outputs.get("angular_velocities"), outputs.get("final_positions")
+        positions,
+        covariances,
+        half[_held(steps, len(half))],
+        outputs.get("angular_velocities"),
+        outputs.get("final_positions"),
     )
     _refuse_divergence(forecast, first_step)
     return forecast

@@ -33,7 +33,7 @@ from training.card import model_card
 from training.dataset import Window, collate
 from training.evaluate import EvaluationSet, Shown, evaluation_sets, metric_rows, run
 from training.graphs import STATE_NAMES, Graphs, first_observation, present, write_graphs
-from training.metrics import Forecasts
+from training.metrics import HALF, Forecasts, distances_sigmas, gaussian_radius
 from training.models.eye import Eye
 from training.models.predictor import Network
 from training.models.sighted import AttendedTransition
@@ -258,7 +258,9 @@ def fit_covariance(forecasts: Mapping[Key, Forecasts]) -> CovarianceSource:
     A network that predicts covariances gets a variance scale at every step: the largest of those
     with which its ellipses of CALIBRATED shares hold as many truths, since too sure is worse than
     too unsure. The scale of highest likelihood would follow the few forecasts that are far off.
-    Any other network gets the covariance of its own residuals.
+    Any other network gets the covariance of its own residuals. As far as half of the truths reach
+    then is the radius of the ellipse that should hold half of them: where tails are heavier than a
+    Gaussian's, no scale fits both shares.
     """
     residuals = np.concatenate([f.true_positions - f.positions for f in forecasts.values()])
     residuals = residuals.reshape(-1, residuals.shape[-2], 2).astype(float)
@@ -271,16 +273,23 @@ def fit_covariance(forecasts: Mapping[Key, Forecasts]) -> CovarianceSource:
                 ((round(m[0][0], 4), round(m[0][1], 4)), (round(m[1][0], 4), round(m[1][1], 4)))
                 for m in moments.tolist()
             ),
+            half_radius=_half_radius(distances_sigmas(residuals, moments)),
         )
     joined = np.concatenate(covariances).reshape(-1, residuals.shape[1], 2, 2)
-    solved = np.linalg.solve(joined.astype(float), residuals[..., None])[..., 0]
-    squared = np.sum(residuals * solved, axis=-1)
-    # The squared radius of a bivariate Gaussian's ellipse that holds a share p: -2 ln(1 - p).
-    fitting = [np.quantile(squared, p, axis=0) / (-2 * np.log(1 - p)) for p in CALIBRATED]
-    scale = np.max(fitting, axis=0)
-    return CovarianceSource(
-        source="predicted", variance_scale=tuple(round(value, 4) for value in scale.tolist())
+    distances = distances_sigmas(residuals, joined.astype(float))
+    scale = np.max(
+        [(np.quantile(distances, p, axis=0) / gaussian_radius(p)) ** 2 for p in CALIBRATED], axis=0
     )
+    return CovarianceSource(
+        source="predicted",
+        variance_scale=tuple(round(value, 4) for value in scale.tolist()),
+        half_radius=_half_radius(distances / np.sqrt(scale)),
+    )
+
+
+def _half_radius(distances: np.ndarray) -> tuple[float, ...]:
+    """Radius at every step that holds half of the distances [residuals, steps]."""
+    return tuple(round(value, 4) for value in np.quantile(distances, HALF, axis=0).tolist())
 
 
 def with_covariance(
@@ -288,7 +297,11 @@ def with_covariance(
 ) -> Mapping[Key, Forecasts]:
     """Forecasts with the covariances that the service will answer with."""
     return {
-        scenario: replace(made, covariances=_served_covariances(made, covariance))
+        scenario: replace(
+            made,
+            covariances=_served_covariances(made, covariance),
+            half_radii=None if covariance.half_radius is None else np.array(covariance.half_radius),
+        )
         for scenario, made in forecasts.items()
     }
 

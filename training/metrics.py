@@ -1,5 +1,6 @@
 """What is measured of a forecast, in 128-pixel units, rad/s and nats."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,9 @@ from jaxtyping import Float
 from training.dataset import Window, collate
 from training.losses import negative_log_likelihood
 from training.models.predictor import Family, Observation
+
+HALF = 0.5
+"""Share of the truths for which ellipses may have a radius of their own."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +28,9 @@ class Forecasts:
     angular_velocities: Float[np.ndarray, "sequences objects steps 3"] | None
     true_positions: Float[np.ndarray, "sequences objects steps 2"]
     true_angular_velocities: Float[np.ndarray, "sequences objects steps 3"]
+    half_radii: Float[np.ndarray, " steps"] | None = None
+    """Standard deviations: of the ellipses that should hold half of the truths; None: a
+    Gaussian's."""
 
     def of_balls(self, chosen: slice) -> "Forecasts":
         """Return those of some balls alone."""
@@ -34,6 +41,7 @@ class Forecasts:
             None if spins is None else spins[:, chosen],
             self.true_positions[:, chosen],
             self.true_angular_velocities[:, chosen],
+            self.half_radii,
         )
 
     def errors_px(self) -> Float[np.ndarray, "sequences objects steps"]:
@@ -64,11 +72,26 @@ class Forecasts:
         """Share of truths inside the ellipses that should hold shares ``levels``, at every step."""
         if self.covariances is None:
             return None
-        difference = self.true_positions - self.positions
-        solved = np.linalg.solve(self.covariances, difference[..., None])[..., 0]
-        squared = np.sum(difference * solved, axis=-1)
-        # The squared radius of a bivariate Gaussian's ellipse that holds a share p: -2 ln(1 - p).
-        return {level: (squared <= -2 * np.log(1 - level)).mean(axis=(0, 1)) for level in levels}
+        distances = distances_sigmas(self.true_positions - self.positions, self.covariances)
+        shares = {
+            level: (distances <= gaussian_radius(level)).mean(axis=(0, 1)) for level in levels
+        }
+        if self.half_radii is not None and HALF in shares:
+            shares[HALF] = (distances <= self.half_radii).mean(axis=(0, 1))
+        return shares
+
+
+def distances_sigmas(
+    residuals: Float[np.ndarray, "*any 2"], covariances: Float[np.ndarray, "*any 2 2"]
+) -> Float[np.ndarray, "*any"]:
+    """Return how many standard deviations a truth is away (Mahalanobis distance)."""
+    solved = np.linalg.solve(covariances, residuals[..., None])[..., 0]
+    return np.sqrt(np.sum(residuals * solved, axis=-1))
+
+
+def gaussian_radius(level: float) -> float:
+    """Return the radius, in standard deviations, that holds a share of a plane's Gaussian."""
+    return math.sqrt(-2 * math.log(1 - level))
 
 
 def forecast(

@@ -29,6 +29,7 @@ from rollcast.http import (
     StreamStep,
     SurfaceGrid,
 )
+from rollcast.manifest import GAUSSIAN_HALF_RADIUS
 from rollcast.scene import COLORS, SCENARIOS, Scene
 from rollcast.surfaces import surface_of
 from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ, OBSERVED_FRAMES
@@ -125,6 +126,7 @@ def forecast(
             for ball, path in enumerate(positions)
         ],
         times_s=[step / rate for step in range(horizon)],
+        half_radii=[GAUSSIAN_HALF_RADIUS] * horizon,
         final_positions=None
         if wish.final_frame is None
         else [(float(path[horizon - 1][0]), float(path[horizon - 1][1])) for path in positions],
@@ -143,6 +145,7 @@ def events(whole: PredictResponse) -> bytes:
             StreamStep(
                 step=step,
                 time_s=time_s,
+                half_radius=whole.half_radii[step],
                 objects=[
                     StreamObject(
                         id=ball.id,

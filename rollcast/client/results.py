@@ -38,6 +38,8 @@ class ForecastStep:
     """0 is the last observed frame."""
     time_s: float
     """Seconds after the last observed frame."""
+    half_radius: float
+    """Of this step, as in ``Forecast.half_radii``."""
     positions: Float64[np.ndarray, "objects 2"]
     """Pixels."""
     covariances: Float64[np.ndarray, "objects 2 2"]
@@ -51,6 +53,7 @@ class ForecastStep:
         return cls(
             step=event.step,
             time_s=event.time_s,
+            half_radius=event.half_radius,
             positions=np.array([ball.position for ball in event.objects]),
             covariances=np.array([ball.covariance for ball in event.objects]),
             angular_velocities=_unless_unknown([ball.angular_velocity for ball in event.objects]),
@@ -67,6 +70,9 @@ class Forecast:
     """Square pixels."""
     covariance_source: Literal["predicted", "empirical"]
     """``predicted`` for these frames, or ``empirical``: residuals on validation data."""
+    half_radii: Float64[np.ndarray, " T"]
+    """Standard deviations: radius of the ellipse that should hold the truth every second time. That
+    of the ellipse that should hold 95 % is always 2.45."""
     angular_velocities: Float64[np.ndarray, "objects T 3"] | None
     """rad/s; None when the model has none."""
     final_positions: Float64[np.ndarray, "objects 2"] | None
@@ -143,6 +149,7 @@ class Forecast:
             positions=np.array([ball.positions for ball in response.objects]),
             covariances=np.array([ball.covariances for ball in response.objects]),
             covariance_source=response.objects[0].covariance_source,
+            half_radii=np.array(response.half_radii),
             angular_velocities=_unless_unknown(
                 [ball.angular_velocities for ball in response.objects]
             ),
@@ -171,7 +178,11 @@ class Forecast:
             for index, ball in enumerate(done.objects)
         ]
         whole: dict[str, Any] = dict(done)
-        whole |= {"objects": balls, "times_s": [step.time_s for step in steps]}
+        whole |= {
+            "objects": balls,
+            "times_s": [step.time_s for step in steps],
+            "half_radii": [step.half_radius for step in steps],
+        }
         return cls.from_response(PredictResponse(**whole))
 
 

@@ -24,6 +24,7 @@ def test_the_answer_has_every_field_of_the_design(client):
             }
         ],
         "times_s": [0.0, 0.025, 0.05],
+        "half_radii": [pytest.approx(1.1774, abs=1e-4)] * 3,
         "final_positions": None,
         "warnings": [],
     }
@@ -85,6 +86,13 @@ def test_a_variance_scale_widens_the_predicted_covariance(start):
     client = start(lambda _: registry_of(served(covariance=covariance)))
     answer = client.post("/predict", json=body(horizon=3)).json()
     assert [c[0][0] for c in answer["objects"][0]["covariances"]] == [1, 4, 4]
+
+
+def test_half_radii_are_the_models(start):
+    covariance = {"source": "predicted", "half_radius": [0.9, 0.8]}
+    client = start(lambda _: registry_of(served(covariance=covariance)))
+    answer = client.post("/predict", json=body(horizon=3)).json()
+    assert answer["half_radii"] == [0.9, 0.8, 0.8]
 
 
 def registry_of(*models):

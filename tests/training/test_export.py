@@ -7,7 +7,7 @@ import onnx
 import pytest
 import torch
 
-from rollcast.manifest import EYE_FILE, MANIFEST_FILE, Manifest
+from rollcast.manifest import EYE_FILE, GAUSSIAN_HALF_RADIUS, MANIFEST_FILE, Manifest
 from tests.training.conftest import tiny
 from training.artefact import load_exported, read_initial, read_parameters
 from training.evaluate import evaluation_sets
@@ -109,6 +109,31 @@ def test_ellipses_hold_their_shares_whatever_a_few_forecasts_do():
     assert served is not None
     assert (abs(served[0.5] - 0.5) < 0.03).all()
     assert (abs(served[0.95] - 0.95) < 0.02).all()
+
+
+@pytest.mark.parametrize("predicted", [True, False])
+def test_where_tails_are_heavy_half_of_the_truths_have_a_radius_of_their_own(predicted):
+    generator = np.random.default_rng(5)
+    tails = np.sqrt(generator.chisquare(3, (8000, 1, 2, 1)) / 3)
+    truth = 2 * generator.standard_normal((8000, 1, 2, 2)) / tails
+    known, unseen = (
+        Forecasts(
+            np.zeros_like(part),
+            np.tile(np.eye(2), (*part.shape[:3], 1, 1)) if predicted else None,
+            None,
+            part,
+            np.zeros((4000, 1, 2, 3)),
+        )
+        for part in (truth[:4000], truth[4000:])
+    )
+    fitted = fit_covariance({"ellipsoid": known})
+    assert fitted.half_radius is not None
+    assert max(fitted.half_radius) < 0.9 * GAUSSIAN_HALF_RADIUS
+    served = with_covariance({"ellipsoid": unseen}, fitted)["ellipsoid"].calibration((0.5, 0.95))
+    assert served is not None
+    assert (abs(served[0.5] - 0.5) < 0.03).all()
+    if predicted:
+        assert (abs(served[0.95] - 0.95) < 0.02).all()
 
 
 def test_any_batch_size_runs(exported):

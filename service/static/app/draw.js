@@ -1,6 +1,6 @@
 /** One moment of footage with the forecasts over it, on any canvas: the stage's or a download's. */
 
-import { ellipseOf, HALF, MOST } from "./figures.js";
+import { ellipseOf, MOST } from "./figures.js";
 import { CASING, faded, ON_PICTURES, TRUTH } from "./palette.js";
 import { LAST_SEEN } from "./state.js";
 
@@ -73,7 +73,7 @@ function drawDoubt({ context, scale, unit }, forecast, step) {
     trace(context, scale, ball.positions[step], ball.covariances[step], MOST);
     context.fill();
     outline(context, color, 1.5 * unit, unit);
-    trace(context, scale, ball.positions[step], ball.covariances[step], HALF);
+    trace(context, scale, ball.positions[step], ball.covariances[step], forecast.halfRadii[step]);
     context.fill();
   }
 }

@@ -34,7 +34,7 @@ export function asJson({ take, forecasts }, request) {
     title: take.title,
     request,
     scene: take.scene ?? null,
-    forecasts: forecasts.map(({ objects, times, done }) => ({
+    forecasts: forecasts.map(({ objects, times, halfRadii, done }) => ({
       ...done,
       objects: objects.map((ball, index) => ({
         ...done?.objects[index],
@@ -43,6 +43,7 @@ export function asJson({ take, forecasts }, request) {
         angular_velocities: ball.angularVelocities,
       })),
       times_s: times,
+      half_radii: halfRadii,
     })),
     truth: take.truth,
   };

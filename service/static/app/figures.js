@@ -2,8 +2,7 @@
 
 import { LAST_SEEN } from "./state.js";
 
-/** Radii, in standard deviations, of the ellipses that hold 50 % and 95 % of a plane's Gaussian. */
-export const HALF = Math.sqrt(-2 * Math.log(0.5));
+/** Radius, in standard deviations, of the ellipse that holds 95 % of a plane's Gaussian. */
 export const MOST = Math.sqrt(-2 * Math.log(0.05));
 
 /**

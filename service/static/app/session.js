@@ -125,6 +125,7 @@ export class Session {
       state: "waiting",
       objects: [],
       times: [],
+      halfRadii: [],
       done: null,
     }));
     this._listener.changed();
@@ -158,7 +159,13 @@ export class Session {
 
   async _stream(forecast, request, signal) {
     const begun = performance.now();
-    Object.assign(forecast, { state: "waiting", objects: [], times: [], done: null });
+    Object.assign(forecast, {
+      state: "waiting",
+      objects: [],
+      times: [],
+      halfRadii: [],
+      done: null,
+    });
     for await (const { step, done } of predictStream(this.body(forecast.name, request), signal)) {
       if (step) {
         forecast.firstStepMs ??= performance.now() - begun;
@@ -195,6 +202,7 @@ function asNumber(text) {
 
 function append(forecast, step) {
   forecast.times.push(step.time_s);
+  forecast.halfRadii.push(step.half_radius);
   for (const { id, position, covariance, angular_velocity } of step.objects) {
     const ball = (forecast.objects[id] ??= {
       id,
