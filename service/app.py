@@ -106,8 +106,7 @@ def create_app(
     )
     install_problem_handlers(app)
     install_openapi(app)
-    figures.watch_requests(app)
-    install_access_log(app, settings.replica)
+    install_access_log(app, settings.replica, figures.request)
     install_headers(app, settings.allowed_origins)
     for feature in (predict, simulate, models, inference, repository, health, metrics, home):
         app.include_router(feature.router)

@@ -3,6 +3,7 @@
 import logging
 import re
 import time
+from collections.abc import Callable
 from typing import Any, Literal
 from urllib.parse import quote
 
@@ -29,11 +30,16 @@ class AccessLog:
         What answers.
     replica
         Name of this process among several, for the line and a header; "" where it is alone.
+    count
+        Is told the route's path, the method, the status and the seconds of what has a route.
     """
 
-    def __init__(self, app: ASGIApp, replica: str) -> None:
+    def __init__(
+        self, app: ASGIApp, replica: str, count: Callable[[str, str, int, float], None]
+    ) -> None:
         self._app = app
         self._replica = replica
+        self._count = count
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer as the app does."""
@@ -54,24 +60,29 @@ class AccessLog:
         try:
             await self._app(scope, receive, noted)
         finally:
+            seconds = time.perf_counter() - begun
+            if (route := scope.get("route")) is not None:
+                self._count(route.path, scope["method"], status, seconds)
             parts = {
                 "client": ":".join(map(str, scope["client"] or ())),
                 "method": scope["method"],
                 "path": quote(scope["path"]),
                 "status": status,
-                "duration_ms": round(1e3 * (time.perf_counter() - begun), 1),
+                "duration_ms": round(1e3 * seconds, 1),
             }
             if self._replica:
                 parts["replica"] = self._replica
             access.info("%(method)s %(path)s: %(status)d in %(duration_ms)s ms", parts, extra=parts)
 
 
-def install_access_log(app: FastAPI, replica: str) -> None:
-    """Log every request, and give it an id: the client's own where it sends a sound one.
+def install_access_log(
+    app: FastAPI, replica: str, count: Callable[[str, str, int, float], None]
+) -> None:
+    """Log and count every request, and give it an id: the client's own where it sends a sound one.
 
     The id goes back in a header, and so does the name of the replica.
     """
-    app.add_middleware(AccessLog, replica=replica)
+    app.add_middleware(AccessLog, replica=replica, count=count)
     app.add_middleware(
         CorrelationIdMiddleware,
         header_name=REQUEST_ID_HEADER,

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-from fastapi import FastAPI
 from prometheus_client import (
     CollectorRegistry,
     Counter,
@@ -12,7 +11,6 @@ from prometheus_client import (
     generate_latest,
 )
 from prometheus_client.multiprocess import MultiProcessCollector
-from prometheus_fastapi_instrumentator import Instrumentator
 
 from rollcast.http import PredictTiming
 from service.registry import Registry
@@ -60,6 +58,17 @@ class Metrics:
         # Files in which several processes count, one a kind of figure, are opened at the start:
         # with the first request there might be no room for them.
         self._refused.labels("queue-full")
+        names = ["handler", "method"]
+        self._requests = Counter(
+            "http_requests", "Answered requests", [*names, "status"], registry=self.registry
+        )
+        self._durations = Histogram(
+            "http_request_duration_seconds",
+            "Time from a request's head until its whole answer is handed over",
+            names,
+            registry=self.registry,
+            buckets=STAGE_SECONDS,
+        )
         self.loading = Summary(
             "rollcast_loading_seconds",
             "Time in which a process has loaded its models at its start",
@@ -100,11 +109,10 @@ class Metrics:
             found = sum(model.status == status for model in registry.models)
             self._models.labels(status).set(found)
 
-    def watch_requests(self, app: FastAPI) -> None:
-        """Count the requests of an app by route, method and status, and time them."""
-        Instrumentator(
-            registry=self.registry, should_group_status_codes=False, excluded_handlers=["/metrics"]
-        ).instrument(app)
+    def request(self, route: str, method: str, status: int, seconds: float) -> None:
+        """Count and time a request by the template of its path."""
+        self._requests.labels(route, method, str(status)).inc()
+        self._durations.labels(route, method).observe(seconds)
 
     def text(self) -> bytes:
         """Return all figures in Prometheus' text format."""

@@ -66,6 +66,8 @@ def test_requests_are_counted_by_route_and_status(client):
     assert counted("http_requests_total", "/models/{name}", "200", "GET") == 2
     assert counted("http_requests_total", "/models/{name}", "404", "GET") == 1
     assert counted("http_requests_total", "/no/such/page", "404", "GET") is None
+    assert counted("http_request_duration_seconds_count", "/models/{name}", "GET") == 3
+    assert counted("http_request_duration_seconds_sum", "/models/{name}", "GET") > 0
 
 
 def test_processes_that_share_a_folder_are_counted_together(tmp_path):
