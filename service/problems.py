@@ -97,7 +97,9 @@ def _path(location: Sequence[int | str]) -> str:
     return "".join(parts).removeprefix(".") or "body"
 
 
-def _answer(request: Request, error: Exception) -> Response:
+async def _answer(request: Request, error: Exception) -> Response:
+    # Not a plain function: Starlette would call that in a thread, for which a service at its limits
+    # may have no descriptor.
     headers: dict[str, str] = {}
     match error:
         case ServiceError():
@@ -110,7 +112,8 @@ def _answer(request: Request, error: Exception) -> Response:
             if isinstance(error, PASSING):
                 headers["Retry-After"] = str(request.app.state.service.settings.retry_after_s)
         case MemoryError():
-            return _answer(request, OutOfMemoryError("There is no memory left for this request."))
+            refusal = OutOfMemoryError("There is no memory left for this request.")
+            return await _answer(request, refusal)
         case RequestValidationError():
             parameters = [fault | {"loc": fault["loc"][1:]} for fault in error.errors()]
             problem = _refusal(invalid_values(parameters))
