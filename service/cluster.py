@@ -61,7 +61,7 @@ class Replica:
         # Ray Serve keeps requests waiting; what it passes on is never refused.
         held: dict[str, Any] = dict.fromkeys(QUEUES, MAX_ONGOING)
         self._settings = Settings(**held | settings, replica=name)
-        dictConfig(configuration(self._settings.log_format))
+        dictConfig(configuration(self._settings.log_format, self._settings.log_requests))
 
     def __serve_build_asgi_app__(self) -> FastAPI:
         """Make the app; Ray Serve runs its lifespan."""

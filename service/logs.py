@@ -63,16 +63,20 @@ class AccessLog:
             seconds = time.perf_counter() - begun
             if (route := scope.get("route")) is not None:
                 self._count(route.path, scope["method"], status, seconds)
-            parts = {
-                "client": ":".join(map(str, scope["client"] or ())),
-                "method": scope["method"],
-                "path": quote(scope["path"]),
-                "status": status,
-                "duration_ms": round(1e3 * seconds, 1),
-            }
-            if self._replica:
-                parts["replica"] = self._replica
-            access.info("%(method)s %(path)s: %(status)d in %(duration_ms)s ms", parts, extra=parts)
+            if access.isEnabledFor(logging.INFO):
+                self._write(scope, status, seconds)
+
+    def _write(self, scope: Scope, status: int, seconds: float) -> None:
+        parts = {
+            "client": ":".join(map(str, scope["client"] or ())),
+            "method": scope["method"],
+            "path": quote(scope["path"]),
+            "status": status,
+            "duration_ms": round(1e3 * seconds, 1),
+        }
+        if self._replica:
+            parts["replica"] = self._replica
+        access.info("%(method)s %(path)s: %(status)d in %(duration_ms)s ms", parts, extra=parts)
 
 
 def install_access_log(
@@ -115,7 +119,7 @@ class JsonLines(JsonFormatter):
             log_data["request_id"] = of_request
 
 
-def configuration(log_format: Literal["json", "text"]) -> dict[str, Any]:
+def configuration(log_format: Literal["json", "text"], log_requests: bool) -> dict[str, Any]:
     """Return what ``logging.config.dictConfig`` takes; everything goes to the standard error."""
     text = "%(asctime)s %(levelname)s %(name)s: %(message)s"
     formatter = {"()": JsonLines} if log_format == "json" else {"format": text}
@@ -124,5 +128,6 @@ def configuration(log_format: Literal["json", "text"]) -> dict[str, Any]:
         "disable_existing_loggers": False,
         "formatters": {"lines": formatter},
         "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "lines"}},
+        "loggers": {access.name: {"level": "INFO" if log_requests else "WARNING"}},
         "root": {"handlers": ["stderr"], "level": "INFO"},
     }

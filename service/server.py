@@ -39,7 +39,7 @@ class Server(uvicorn.Server):
                     stopping=lambda: self.should_exit,
                     ended=_nothing if siblings is None else siblings.closed,
                 ),
-                log_config=configuration(settings.log_format),
+                log_config=configuration(settings.log_format, settings.log_requests),
                 access_log=False,  # service.logs has its own
                 server_header=False,
                 timeout_graceful_shutdown=settings.stop_timeout_s,

@@ -132,6 +132,8 @@ class Settings(BaseSettings):
     """Seconds after which a service that was told to stop gives up what it still works on."""
     log_format: Literal["json", "text"] = "json"
     """Log lines as JSON objects, or as text for people."""
+    log_requests: bool = True
+    """Whether every request has a line in the log. Failures of the service always have one."""
     replica: Annotated[str, Field(pattern=r"^[A-Za-z0-9._:#-]{0,128}$")] = ""
     """Name of this process where there are several: it comes with every answer in the header
     X-Rollcast-Replica and stands in the log line of its request. Without one there is none."""

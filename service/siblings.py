@@ -7,6 +7,7 @@ that carries a JSON array a line, and connections beside it.
 import asyncio
 import json
 import socket
+import time
 from collections import deque
 from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
@@ -19,6 +20,9 @@ if TYPE_CHECKING:  # it reads its variables when it is imported: not before they
 MOST_CONNECTIONS = 64
 """That are taken over at once."""
 LONGEST_READ = 64 * 1024
+PAUSE_S = 0.004
+"""For which a core does not count as idle: clients that ask without a pause need less between an
+answer and the next request."""
 
 
 class Service(NamedTuple):
@@ -51,6 +55,8 @@ class Board:
     def __init__(self, processes: int) -> None:
         self.held = RawArray("l", processes)
         """Forecasts that are computed or wait."""
+        self.resting_since = RawArray("d", processes)
+        """When the last of them ended, seconds of the monotonic clock."""
         self.closed = RawArray("l", processes)
         """Connections that have ended."""
 
@@ -87,9 +93,15 @@ class Siblings:
 
     @property
     def one_rests(self) -> bool:
-        """Whether one of the others computes no forecast: its core is idle."""
-        others = (held for place, held in enumerate(self._board.held) if place != self._place)
-        return any(held == 0 for held in others)
+        """Whether one of the others has computed no forecast for a while: its core is idle."""
+        now = time.monotonic()
+        return any(
+            held == 0 and now - since > PAUSE_S
+            for place, (held, since) in enumerate(
+                zip(self._board.held, self._board.resting_since, strict=True)
+            )
+            if place != self._place
+        )
 
     def follow(self, shown: "Gauge") -> "Held":
         """Return a gauge of the forecasts held here that the others see too."""
@@ -217,6 +229,8 @@ class Held:
         """Count one less."""
         self._shown.dec()
         self._board.held[self._place] -= 1
+        if self._board.held[self._place] == 0:
+            self._board.resting_since[self._place] = time.monotonic()
 
 
 def line(*words: object) -> bytes:

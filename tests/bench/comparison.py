@@ -28,10 +28,11 @@ PREAMBLE = f"""## Beside other frameworks
 The same requests (JSON with four PNG files, {MODEL}, 40 steps), the same ONNX files, the same
 {CORES} cores and the same client. Each framework runs a single-threaded ONNX Runtime on every core
 and, where it has batching, batches of up to {MAX_BATCH} of what waits, without waiting for more
-(`tests/bench/peers`). It and Rollcast are asked in turn, for a few seconds each, the other one
-stopped meanwhile, so that a machine that drifts does so for both. Answers a second and p99 relative
-to those of Rollcast just before, medians of the rounds with the smallest and the largest: Rollcast
-is ahead where the first is under 1 and the second over 1. Answers that are not 200 are failures.
+(`tests/bench/peers`); nobody logs requests. It and Rollcast are asked in turn, for a few seconds
+each, the other one stopped meanwhile, so that a machine that drifts does so for both. Answers a
+second and p99 relative to those of Rollcast just before, medians of the rounds with the smallest
+and the largest: Rollcast is ahead where the first is under 1 and the second over 1. Answers that
+are not 200 are failures.
 """
 
 
@@ -68,7 +69,10 @@ def measure(rounds: int, seconds: float) -> list[Load]:
     found: list[Load] = []
     for peer in PEERS:
         with (
-            service(ROLLCAST_INFERENCE_QUEUE="128") as (address, ours),
+            service(ROLLCAST_INFERENCE_QUEUE="128", ROLLCAST_LOG_REQUESTS="false") as (
+                address,
+                ours,
+            ),
             _running(peer) as (other, its),
         ):
             np.testing.assert_allclose(

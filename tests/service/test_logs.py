@@ -7,7 +7,7 @@ import logging
 import pytest
 from pydantic import ValidationError
 
-from service.logs import JsonLines
+from service.logs import JsonLines, configuration
 from tests.service.samples import body
 
 
@@ -53,6 +53,14 @@ def test_a_line_is_one_object():
         "logger": "service.loading",
         "message": "model a\nis refused",
     }
+
+
+@pytest.mark.parametrize("log_requests", [True, False])
+def test_requests_are_logged_unless_the_settings_say_no(client, caplog, log_requests):
+    told = configuration("json", log_requests)["loggers"]["service.access"]["level"]
+    with caplog.at_level(told, logger="service.access"):
+        assert client.get("/models").status_code == 200
+    assert len(caplog.records) == log_requests
 
 
 def test_every_answer_leaves_a_line_with_its_parts(client, caplog):

@@ -12,7 +12,7 @@ from tests.bench.loop import CORES, MAX_BATCH
 from tests.bench.peers.answer import Answer, Answers, Request
 
 
-@bentoml.service(workers=CORES, traffic={"timeout": 60})
+@bentoml.service(workers=CORES, traffic={"timeout": 60}, logging={"access": {"enabled": False}})
 class Forecaster:
     def __init__(self) -> None:
         self.answers = Answers()

@@ -14,7 +14,7 @@ from tests.bench.loop import CORES, MAX_BATCH
 from tests.bench.peers.answer import Answer, Answers, Request
 
 
-@serve.deployment(max_ongoing_requests=64)
+@serve.deployment(max_ongoing_requests=64, logging_config={"enable_access_log": False})
 class Forecaster:
     def __init__(self) -> None:
         self.answers = Answers()
