@@ -29,8 +29,10 @@ _STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
-_LINES = ("-", "--", ":", "-.")
+_LINES = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
 """Styles that tell methods apart once the colours are used up."""
+_MOST_INSIDE = 10
+"""Methods whose names have room inside a picture."""
 _SMOOTHED = 9
 """Losses that a point of a training's curve is the median of."""
 _BASELINE_STYLES = {"stays put": ":", "line": "--"}
@@ -39,7 +41,8 @@ _BASELINE_STYLES = {"stays put": ":", "line": "--"}
 def draw_errors(curves: Sequence[Curve], path: Path) -> None:
     """Draw the median error of every method over time with its quartiles, one group."""
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(6.4, 3.4), layout="constrained")
+        beside = len(curves) > _MOST_INSIDE
+        figure = Figure(figsize=(9, 5) if beside else (6.4, 3.4), layout="constrained")
         axes = figure.subplots()
         methods = [curve.method for curve in curves if curve.method not in _BASELINE_STYLES]
         for curve in curves:
@@ -50,8 +53,9 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
                 axes.plot(steps, middle, baseline, color="#666666", label=curve.method)
                 continue
             style, colour = _look(methods.index(curve.method))
-            axes.plot(steps, middle, style, color=colour, label=curve.method)
-            axes.fill_between(steps, low, high, color=colour, alpha=0.15, linewidth=0)
+            axes.plot(steps, middle, linestyle=style, color=colour, label=curve.method)
+            shade = 0.05 if beside else 0.15
+            axes.fill_between(steps, low, high, color=colour, alpha=shade, linewidth=0)
         trained = {c.trained_horizon for c in curves if c.trained_horizon is not None}
         for horizon in trained:
             axes.axvline(horizon, color="#bbbbbb", linewidth=1, zorder=0)
@@ -59,7 +63,10 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
             xlabel="T (steps of 1/40 s)", ylabel="position error, px", yscale="log",
             title=f"{title(curves[0].scenario, curves[0].objects)}: median and quartiles",
         )  # fmt: skip
-        axes.legend(frameon=False, ncols=2)
+        if beside:
+            axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+        else:
+            axes.legend(frameon=False, ncols=2)
         figure.savefig(path, metadata={"Software": None})
 
 
@@ -169,7 +176,7 @@ def _running_median(values: np.ndarray) -> np.ndarray:
     )
 
 
-def _look(index: int) -> tuple[str, str]:
+def _look(index: int) -> tuple[Any, str]:
     """Line style and colour of a method."""
     rounds, place = divmod(index, len(PALETTE))
     return _LINES[rounds], PALETTE[place]
@@ -189,7 +196,9 @@ def draw_calibration(curves: Sequence[Curve], path: Path) -> None:
                 if curve.scenario == scenario:
                     assert curve.coverage is not None
                     style, colour = _look(methods.index(curve.method))
-                    axes.plot(LEVELS, curve.coverage, style, color=colour, label=curve.method)
+                    axes.plot(
+                        LEVELS, curve.coverage, linestyle=style, color=colour, label=curve.method
+                    )
             axes.set(xlabel="share that the ellipse should hold", xlim=(0, 1), ylim=(0, 1))
             axes.set_title(scenario)
         panels[0].set_ylabel("share of truths inside")

@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 from training.paper import CELLS, published
+from training.plots import _look, draw_errors
 from training.publish import publish_study
 from training.recipes.compact import ONE_BALL_DATA
-from training.results import Cell, Results
+from training.results import Cell, Curve, Results
 from training.simulate import SHARD_SCENES
 from training.studies import STUDIES
 from training.studies.claims import CLAIMS, Claim, Comparison, verdicts
@@ -80,6 +81,18 @@ def test_the_page_has_every_row_and_its_pictures(measured):
     assert "| npe | states |" in text
     for name in ("small-bars.png", "small-hemisphere-1.png"):
         assert (docs / "results" / name).stat().st_size > 5000
+
+
+@pytest.mark.parametrize("study", STUDIES.values(), ids=STUDIES)
+def test_every_row_of_a_table_has_a_line_of_its_own(study, tmp_path):
+    rows = study.rows()
+    curves = [
+        Curve("hemisphere", 1, row.method, 20, ((1.0,) * 40, (2.0,) * 40, (3.0,) * 40))
+        for row in rows
+    ]
+    draw_errors(curves, tmp_path / "curves.png")
+    looks = [_look(index) for index in range(len(rows))]
+    assert len(set(looks)) == len(rows)
 
 
 def test_a_row_that_is_not_there_is_named(measured):
