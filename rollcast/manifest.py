@@ -68,8 +68,12 @@ class Output(_Part):
     unit: str
 
 
-GAUSSIAN_HALF_RADIUS = math.sqrt(-2 * math.log(0.5))
-"""Radius, in standard deviations, of the ellipse that holds half of a plane's Gaussian."""
+def gaussian_radius(share: float) -> float:
+    """Return the radius, in standard deviations, that holds a share of a plane's Gaussian."""
+    return math.sqrt(-2 * math.log(1 - share))
+
+
+GAUSSIAN_HALF_RADIUS = gaussian_radius(0.5)
 
 
 class CovarianceSource(_Part):

@@ -4,7 +4,7 @@ import logging
 import re
 import time
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 from urllib.parse import quote
 
 from asgi_correlation_id import CorrelationIdMiddleware
@@ -15,6 +15,9 @@ from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rollcast.http import REPLICA_HEADER, REQUEST_ID_HEADER
+
+Count: TypeAlias = Callable[[str, str, int, float], None]
+"""Is told a route's path, the method, the status and the seconds of a request."""
 
 access = logging.getLogger("service.access")
 
@@ -31,12 +34,10 @@ class AccessLog:
     replica
         Name of this process among several, for the line and a header; "" where it is alone.
     count
-        Is told the route's path, the method, the status and the seconds of what has a route.
+        Is told of requests that have a route.
     """
 
-    def __init__(
-        self, app: ASGIApp, replica: str, count: Callable[[str, str, int, float], None]
-    ) -> None:
+    def __init__(self, app: ASGIApp, replica: str, count: Count) -> None:
         self._app = app
         self._replica = replica
         self._count = count
@@ -79,9 +80,7 @@ class AccessLog:
         access.info("%(method)s %(path)s: %(status)d in %(duration_ms)s ms", parts, extra=parts)
 
 
-def install_access_log(
-    app: FastAPI, replica: str, count: Callable[[str, str, int, float], None]
-) -> None:
+def install_access_log(app: FastAPI, replica: str, count: Count) -> None:
     """Log and count every request, and give it an id: the client's own where it sends a sound one.
 
     The id goes back in a header, and so does the name of the replica.

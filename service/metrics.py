@@ -21,6 +21,8 @@ STAGE_SECONDS = (
     0.0005, 0.001, 0.002, 0.004, 0.006, 0.008, 0.01, 0.015, 0.02, 0.03, 0.05, 0.1, 0.25, 1, 5,
 )  # fmt: skip
 BATCHES = (1, 2, 4, 8, 16, 32)
+PATH = "/metrics"
+"""Where they are read; who reads them is not counted."""
 
 
 class Metrics:
@@ -111,8 +113,9 @@ class Metrics:
 
     def request(self, route: str, method: str, status: int, seconds: float) -> None:
         """Count and time a request by the template of its path."""
-        self._requests.labels(route, method, str(status)).inc()
-        self._durations.labels(route, method).observe(seconds)
+        if route != PATH:
+            self._requests.labels(route, method, str(status)).inc()
+            self._durations.labels(route, method).observe(seconds)
 
     def text(self) -> bytes:
         """Return all figures in Prometheus' text format."""

@@ -27,13 +27,14 @@ from rollcast.manifest import (
     OutputName,
     Parity,
     StateTensor,
+    gaussian_radius,
 )
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.card import model_card
 from training.dataset import Window, collate
 from training.evaluate import EvaluationSet, Shown, evaluation_sets, metric_rows, run
 from training.graphs import STATE_NAMES, Graphs, first_observation, present, write_graphs
-from training.metrics import HALF, Forecasts, distances_sigmas, gaussian_radius
+from training.metrics import HALF, Forecasts, distances_sigmas
 from training.models.eye import Eye
 from training.models.predictor import Network
 from training.models.sighted import AttendedTransition

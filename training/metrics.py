@@ -1,6 +1,5 @@
 """What is measured of a forecast, in 128-pixel units, rad/s and nats."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -8,6 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from rollcast.manifest import gaussian_radius
 from training.dataset import Window, collate
 from training.losses import negative_log_likelihood
 from training.models.predictor import Family, Observation
@@ -73,12 +73,10 @@ class Forecasts:
         if self.covariances is None:
             return None
         distances = distances_sigmas(self.true_positions - self.positions, self.covariances)
-        shares = {
-            level: (distances <= gaussian_radius(level)).mean(axis=(0, 1)) for level in levels
-        }
-        if self.half_radii is not None and HALF in shares:
-            shares[HALF] = (distances <= self.half_radii).mean(axis=(0, 1))
-        return shares
+        radii: dict[float, float | np.ndarray] = {level: gaussian_radius(level) for level in levels}
+        if self.half_radii is not None and HALF in radii:
+            radii[HALF] = self.half_radii
+        return {level: (distances <= radius).mean(axis=(0, 1)) for level, radius in radii.items()}
 
 
 def distances_sigmas(
@@ -87,11 +85,6 @@ def distances_sigmas(
     """Return how many standard deviations a truth is away (Mahalanobis distance)."""
     solved = np.linalg.solve(covariances, residuals[..., None])[..., 0]
     return np.sqrt(np.sum(residuals * solved, axis=-1))
-
-
-def gaussian_radius(level: float) -> float:
-    """Return the radius, in standard deviations, that holds a share of a plane's Gaussian."""
-    return math.sqrt(-2 * math.log(1 - level))
 
 
 def forecast(

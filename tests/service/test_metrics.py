@@ -62,7 +62,9 @@ def test_requests_are_counted_by_route_and_status(client):
     client.get("/models/line")
     client.get("/models/nobody")
     client.get("/no/such/page")
+    client.get("/metrics")
     counted = figures(client)
+    assert counted("http_requests_total", "/metrics", "200", "GET") is None
     assert counted("http_requests_total", "/models/{name}", "200", "GET") == 2
     assert counted("http_requests_total", "/models/{name}", "404", "GET") == 1
     assert counted("http_requests_total", "/no/such/page", "404", "GET") is None

@@ -122,11 +122,7 @@ export class Session {
       slot,
       name: model,
       label: model,
-      state: "waiting",
-      objects: [],
-      times: [],
-      halfRadii: [],
-      done: null,
+      ...unanswered(),
     }));
     this._listener.changed();
     const results = await Promise.allSettled(
@@ -159,13 +155,7 @@ export class Session {
 
   async _stream(forecast, request, signal) {
     const begun = performance.now();
-    Object.assign(forecast, {
-      state: "waiting",
-      objects: [],
-      times: [],
-      halfRadii: [],
-      done: null,
-    });
+    Object.assign(forecast, unanswered());
     for await (const { step, done } of predictStream(this.body(forecast.name, request), signal)) {
       if (step) {
         forecast.firstStepMs ??= performance.now() - begun;
@@ -198,6 +188,11 @@ export class Session {
 function asNumber(text) {
   if (text === "") return null;
   return Number.isFinite(Number(text)) ? Number(text) : text;
+}
+
+/** What there is of a forecast before its first step. */
+function unanswered() {
+  return { state: "waiting", objects: [], times: [], halfRadii: [], done: null };
 }
 
 function append(forecast, step) {
