@@ -1,12 +1,13 @@
 """Pictures (matplotlib): errors over time, calibration, ellipses over frames, a run's curves."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
@@ -18,7 +19,7 @@ from rollcast.scene import SCENARIOS
 from training.dataset import Window
 from training.metrics import Forecasts
 from training.report import title
-from training.results import LEVELS, Curve, Results
+from training.results import LEVELS, Cell, Curve, Results
 from training.trainer import EVENTS, LOSS
 
 SIGMAS = 2.0
@@ -33,6 +34,10 @@ _LINES = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
 """Styles that tell methods apart once the colours are used up."""
 _MOST_INSIDE = 10
 """Methods whose names have room inside a picture."""
+_GROUP_WIDTH = 0.8
+"""Of a method's bars together; from one method to the next is 1."""
+_LEAST_PX = 0.05
+"""Where the errors' axis ends: what was given exactly errs by nothing."""
 _SMOOTHED = 9
 """Losses that a point of a training's curve is the median of."""
 _BASELINE_STYLES = {"stays put": ":", "line": "--"}
@@ -63,6 +68,7 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
             xlabel="T (steps of 1/40 s)", ylabel="position error, px", yscale="log",
             title=f"{title(curves[0].scenario, curves[0].objects)}: median and quartiles",
         )  # fmt: skip
+        axes.set_ylim(bottom=_LEAST_PX)
         if beside:
             axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
         else:
@@ -70,41 +76,51 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
         figure.savefig(path, metadata={"Software": None})
 
 
-def draw_bars(results: Results, given_states: Collection[str], path: Path) -> None:
-    """Draw a study's errors as bars, a panel a group; hatched are those who were given states."""
+def draw_bars(results: Results, given_states: Mapping[str, bool], path: Path) -> None:
+    """Draw a study's errors as bars, a panel a group.
+
+    Parameters
+    ----------
+    given_states
+        Methods in the order of the table; those that are given true states are hatched.
+    """
     groups = sorted({(c.objects, SCENARIOS.index(c.scenario)) for c in results.cells})
-    methods = list(dict.fromkeys(cell.method for cell in results.cells))
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(9, 3.2 * len(groups)), layout="constrained")
-        panels = figure.subplots(len(groups), 1, squeeze=False, sharex=True)[:, 0]
+        figure = Figure(figsize=(9, 4 * len(groups)), layout="constrained")
+        panels = figure.subplots(len(groups), 1, squeeze=False)[:, 0]
         for axes, (objects, index) in zip(panels, groups, strict=True):
-            cells = [
-                cell
-                for cell in results.cells
-                if (cell.objects, cell.scenario) == (objects, SCENARIOS[index])
-            ]
-            moments = list(dict.fromkeys(cell.at for cell in cells))
-            for cell in cells:
-                place = methods.index(cell.method) + 0.4 * moments.index(cell.at) - 0.2
-                axes.bar(
-                    place, cell.position_error_px, 0.38, yerr=cell.standard_error_px,
-                    color=PALETTE[moments.index(cell.at)], edgecolor="white",
-                    hatch="///" if cell.method in given_states else None,
-                )  # fmt: skip
-                if cell.paper_px is not None:
-                    axes.plot([place - 0.19, place + 0.19], [cell.paper_px] * 2, "k-")
-            named = [
-                *(Patch(color=PALETTE[place], label=at) for place, at in enumerate(moments)),
-                Line2D([], [], color="black", label="the paper's"),
-            ]
-            axes.set(
-                ylabel="position error, px", yscale="log", ylim=(0.3, 300),
-                title=title(SCENARIOS[index], objects),
-            )  # fmt: skip
-            axes.yaxis.set_major_formatter(LogFormatter())
-            axes.legend(handles=named, frameon=False, ncols=3, loc="upper right")
-        panels[-1].set_xticks(range(len(methods)), methods, rotation=30, ha="right")
+            scenario = SCENARIOS[index]
+            cells = [c for c in results.cells if (c.objects, c.scenario) == (objects, scenario)]
+            draw_group(axes, cells, given_states)
+            axes.set_title(title(scenario, objects))
         figure.savefig(path, metadata={"Software": None})
+
+
+def draw_group(axes: Axes, cells: Sequence[Cell], given_states: Mapping[str, bool]) -> None:
+    """Draw the methods that have been measured on a group, a bar a moment, side by side."""
+    measured = {cell.method for cell in cells}
+    methods = [method for method in given_states if method in measured]
+    moments = list(dict.fromkeys(cell.at for cell in cells))
+    width = _GROUP_WIDTH / len(moments)
+    for cell in cells:
+        moment = moments.index(cell.at)
+        place = methods.index(cell.method) + width * (moment - (len(moments) - 1) / 2)
+        axes.bar(
+            place, cell.position_error_px, width, yerr=cell.standard_error_px,
+            color=PALETTE[moment], edgecolor="white",
+            hatch="///" if given_states[cell.method] else None,
+        )  # fmt: skip
+        if cell.paper_px is not None:
+            ends = [place - width / 2, place + width / 2]
+            axes.plot(ends, [cell.paper_px] * 2, "k-", linewidth=2)
+    named = [
+        *(Patch(color=PALETTE[place], label=at) for place, at in enumerate(moments)),
+        Line2D([], [], color="black", linewidth=2, label="the paper's"),
+    ]
+    axes.set(ylabel="position error, px", yscale="log", ylim=(0.3, 300))
+    axes.set_xticks(range(len(methods)), methods, rotation=30, ha="right", rotation_mode="anchor")
+    axes.yaxis.set_major_formatter(LogFormatter())
+    axes.legend(handles=named, frameon=False, ncols=len(named), loc="upper right")
 
 
 def draw_conditions(results: Results, path: Path) -> None:
@@ -131,9 +147,12 @@ def draw_conditions(results: Results, path: Path) -> None:
                 names = [name or "usual scenes" for name in conditions]
                 axes.set_xticks(range(len(names)), names, rotation=20, ha="right")
                 axes.set(yscale="log", title=f"{title(scenario, objects)}, {at}")
+                # Plain numbers instead of powers of ten: errors may span less than a decade.
                 axes.yaxis.set_major_formatter(LogFormatter())
+                axes.yaxis.set_minor_formatter(LogFormatter())
             row[0].set(ylabel="position error, px")
-        panels[0, 0].legend(frameon=False, ncols=2)
+        named = panels[0, 0].get_legend_handles_labels()
+        figure.legend(*named, frameon=False, ncols=len(methods), loc="outside upper center")
         figure.savefig(path, metadata={"Software": None})
 
 

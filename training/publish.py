@@ -48,7 +48,7 @@ def publish_study(study: Study, docs: Path) -> None:
     folder = docs / "results"
     results = Results.read(folder / RESULTS).of(study.name)
     (folder / f"{study.name}.md").write_text(tables.page(study, results), encoding="utf-8")
-    given = {row.method for row in study.rows() if row.given_states}
+    given = {row.method: row.given_states for row in study.rows()}
     if results.cells and study.by_scenes:
         plots.draw_conditions(results, folder / tables.bars_name(study))
         return
@@ -57,7 +57,8 @@ def publish_study(study: Study, docs: Path) -> None:
     for subject in study.subjects:
         curves = tables.curves_of(results, subject)
         if curves:
-            plots.draw_errors(curves, folder / tables.curves_name(study, subject))
+            in_order = sorted(curves, key=lambda curve: list(given).index(curve.method))
+            plots.draw_errors(in_order, folder / tables.curves_name(study, subject))
 
 
 def _examples(folders: Sequence[Path], workers: int) -> list[tuple[str, Window, Forecasts]]:

@@ -1,12 +1,15 @@
 """Studies: rows are kept as they are measured, tables and claims say what was measured."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from training.paper import CELLS, published
-from training.plots import _look, draw_errors
+from training.plots import _look, draw_errors, draw_group
 from training.publish import publish_study
 from training.recipes.compact import ONE_BALL_DATA
 from training.results import Cell, Curve, Results
@@ -93,6 +96,19 @@ def test_every_row_of_a_table_has_a_line_of_its_own(study, tmp_path):
     draw_errors(curves, tmp_path / "curves.png")
     looks = [_look(index) for index in range(len(rows))]
     assert len(set(looks)) == len(rows)
+
+
+def test_bars_stand_side_by_side_in_the_order_of_the_table():
+    moments = ("T=10", "T=20", "T=30", "T=40")
+    cells = [replace(_cell(method, 2.0), at=at, paper_px=1.0) for method in "ba" for at in moments]
+    axes = Figure().subplots()
+    draw_group(axes, cells, {"a": False, "absent": True, "b": True})
+    assert [text.get_text() for text in axes.get_xticklabels()] == ["a", "b"]
+    drawn = [bar for bar in axes.patches if isinstance(bar, Rectangle)]
+    bars = sorted(drawn, key=lambda bar: bar.get_x())
+    ends = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in bars]
+    assert all(after[0] >= before[1] - 1e-9 for before, after in pairwise(ends))
+    assert [bar.get_hatch() for bar in bars] == [None] * 4 + ["///"] * 4
 
 
 def test_a_row_that_is_not_there_is_named(measured):
