@@ -68,7 +68,7 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
             xlabel="T (steps of 1/40 s)", ylabel="position error, px", yscale="log",
             title=f"{title(curves[0].scenario, curves[0].objects)}: median and quartiles",
         )  # fmt: skip
-        axes.set_ylim(bottom=_LEAST_PX)
+        axes.set_ylim(bottom=max(_LEAST_PX, axes.get_ylim()[0]))
         if beside:
             axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
         else:
