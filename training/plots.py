@@ -84,15 +84,15 @@ def draw_bars(results: Results, given_states: Mapping[str, bool], path: Path) ->
     given_states
         Methods in the order of the table; those that are given true states are hatched.
     """
-    groups = sorted({(c.objects, SCENARIOS.index(c.scenario)) for c in results.cells})
+    groups = sorted({(c.objects, SCENARIOS.index(c.scenario), c.condition) for c in results.cells})
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(9, 4 * len(groups)), layout="constrained")
         panels = figure.subplots(len(groups), 1, squeeze=False)[:, 0]
-        for axes, (objects, index) in zip(panels, groups, strict=True):
-            scenario = SCENARIOS[index]
-            cells = [c for c in results.cells if (c.objects, c.scenario) == (objects, scenario)]
+        for axes, (objects, index, condition) in zip(panels, groups, strict=True):
+            group = (objects, SCENARIOS[index], condition)
+            cells = [c for c in results.cells if (c.objects, c.scenario, c.condition) == group]
             draw_group(axes, cells, given_states)
-            axes.set_title(title(scenario, objects))
+            axes.set_title(", ".join(filter(None, (title(SCENARIOS[index], objects), condition))))
         figure.savefig(path, metadata={"Software": None})
 
 
