@@ -49,6 +49,7 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
         beside = len(curves) > _MOST_INSIDE
         figure = Figure(figsize=(9, 5) if beside else (6.4, 3.4), layout="constrained")
         axes = figure.subplots()
+        group = curves[0]
         methods = [curve.method for curve in curves if curve.method not in _BASELINE_STYLES]
         for curve in curves:
             low, middle, high = curve.quartiles_px
@@ -66,7 +67,7 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
             axes.axvline(horizon, color="#bbbbbb", linewidth=1, zorder=0)
         axes.set(
             xlabel="T (steps of 1/40 s)", ylabel="position error, px", yscale="log",
-            title=f"{title(curves[0].scenario, curves[0].objects)}: median and quartiles",
+            title=f"{title(group.scenario, group.objects, group.condition)}: median and quartiles",
         )  # fmt: skip
         axes.set_ylim(bottom=max(_LEAST_PX, axes.get_ylim()[0]))
         if beside:
@@ -92,7 +93,7 @@ def draw_bars(results: Results, given_states: Mapping[str, bool], path: Path) ->
             group = (objects, SCENARIOS[index], condition)
             cells = [c for c in results.cells if (c.objects, c.scenario, c.condition) == group]
             draw_group(axes, cells, given_states)
-            axes.set_title(", ".join(filter(None, (title(SCENARIOS[index], objects), condition))))
+            axes.set_title(title(SCENARIOS[index], objects, condition))
         figure.savefig(path, metadata={"Software": None})
 
 

@@ -49,6 +49,7 @@ def publish_study(study: Study, docs: Path) -> None:
     results = Results.read(folder / RESULTS).of(study.name)
     (folder / f"{study.name}.md").write_text(tables.page(study, results), encoding="utf-8")
     given = {row.method: row.given_states for row in study.rows()}
+    order = list(given)
     if results.cells and study.by_scenes:
         plots.draw_conditions(results, folder / tables.bars_name(study))
         return
@@ -57,7 +58,7 @@ def publish_study(study: Study, docs: Path) -> None:
     for subject in study.subjects:
         curves = tables.curves_of(results, subject)
         if curves:
-            in_order = sorted(curves, key=lambda curve: list(given).index(curve.method))
+            in_order = sorted(curves, key=lambda curve: order.index(curve.method))
             plots.draw_errors(in_order, folder / tables.curves_name(study, subject))
 
 

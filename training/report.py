@@ -70,9 +70,9 @@ def page(results: Results, scenes: int) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def title(scenario: Scenario, objects: int) -> str:
-    """Name a group of results."""
-    return f"{scenario}, {_balls(objects)}"
+def title(scenario: Scenario, objects: int, condition: str = "") -> str:
+    """Name a group of results, with what is special about its scenes."""
+    return ", ".join(filter(None, (scenario, _balls(objects), condition)))
 
 
 def _balls(objects: int) -> str:

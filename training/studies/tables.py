@@ -119,7 +119,7 @@ def _table_by_scenes(study: Study, results: Results) -> str:
 
 
 def _scenes(subject: Subject) -> str:
-    return ", ".join(filter(None, (title(subject.scenario, subject.objects), subject.condition)))
+    return title(subject.scenario, subject.objects, subject.condition)
 
 
 def _found(results: Results, subject: Subject, method: str, at: str) -> Cell | None:
