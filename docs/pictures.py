@@ -36,10 +36,10 @@ from rollcast.plot import PALETTE, draw_forecast
 from rollcast.scene import SCENARIOS, Scenario
 from rollcast.simulation import Sequence, Simulator
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
-from service.loading import load_registry
-from service.registry import Wish
-from service.rollout import Predictor, assemble, roll_out
-from training.ground import resting_ground
+from service.inference.rollout import Predictor, assemble, roll_out
+from service.serving.loading import load_registry
+from service.serving.registry import Wish
+from training.data.rest_height_map import resting_ground
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs/images"

@@ -19,7 +19,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rollcast.http import Problem
+    from rollcast.schemas import Problem
 
 
 class RollcastError(Exception):

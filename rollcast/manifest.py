@@ -22,7 +22,7 @@ MANIFEST_FILE = "manifest.json"
 CARD_FILE = "MODEL_CARD.md"
 GOLDEN_FILE = "golden.npz"
 FAMILIARITY_FILE = "familiarity.npz"
-"""What the training frames look like (``rollcast.familiarity``); not every artefact has it."""
+"""What the training frames look like (``rollcast.ood``); not every artefact has it."""
 HASHED_FILES = (ENCODER_FILE, STEP_FILE, CARD_FILE, GOLDEN_FILE)
 """Those that every artefact has."""
 
@@ -133,7 +133,7 @@ class Parity(_Part):
 
 
 class Unfamiliar(_Part):
-    """When frames look unlike those of the training (``rollcast.familiarity``)."""
+    """When frames look unlike those of the training (``rollcast.ood``)."""
 
     threshold: Positive
     """Score above which they do."""

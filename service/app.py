@@ -7,17 +7,13 @@ from contextlib import asynccontextmanager, suppress
 from fastapi import Depends, FastAPI
 from fastapi_offline import FastAPIOffline
 
-from rollcast.http import API_VERSION
-from service.access import check_access
-from service.headers import install_headers
-from service.keyring import Keyring
-from service.loading import Loader, load_registry
-from service.logs import install_access_log
-from service.metrics import Metrics
-from service.openapi import install_openapi
-from service.problems import install_problem_handlers
-from service.rates import Rates
-from service.routes import (
+from rollcast.schemas import API_VERSION
+from service.auth.api_keys import Keyring
+from service.auth.rate_limit import Rates
+from service.http.authorization import check_access
+from service.http.openapi import install_openapi
+from service.http.problem_details import install_problem_handlers
+from service.http.routes import (
     health,
     home,
     inference,
@@ -27,12 +23,16 @@ from service.routes import (
     repository,
     simulate,
 )
-from service.scheduler import Scheduler
+from service.http.security_headers import install_headers
+from service.inference.admission import Workers
+from service.inference.scheduler import Scheduler
+from service.observability.log_config import install_access_log
+from service.observability.metrics import Metrics
+from service.serving.loading import Loader, load_registry
 from service.settings import Settings
 from service.siblings import Siblings
-from service.simulations import RecycledProcess
+from service.simulation.pool import RecycledProcess
 from service.state import State
-from service.workers import Workers
 
 
 def create_app(

@@ -22,7 +22,7 @@
   x NotReadyError              503  no model is served, yet or any more
   x DeadlineExceededError      504  the answer takes longer than the client waits
 
-``service/problems.py`` turns them into problem documents (RFC 9457).
+``service/http/problem_details.py`` turns them into problem documents (RFC 9457).
 """
 
 from collections.abc import Sequence

@@ -17,7 +17,7 @@ from pydantic_settings import (
     TomlConfigSettingsSource,
 )
 
-from service.keyring import KeyFile
+from service.auth.api_keys import KeyFile
 
 PREFIX = "ROLLCAST_"
 FILE_VARIABLE = "ROLLCAST_SETTINGS_FILE"
@@ -79,7 +79,7 @@ class Settings(BaseSettings):
     models_dir: DirectoryPath = Path(__file__).resolve().parents[1] / "models"
     """Folder of the artefacts, ``NAME/VERSION/``."""
     keys_file: FilePath | None = None
-    """File of API keys, which `python -m service.keys` makes; it is read again when it changes.
+    """File of API keys, which `python -m service.auth` makes; it is read again when it changes.
     Without one nobody is asked for a key."""
     anonymous: bool = False
     """Whether everybody may ask on addresses that others reach. Without keys and without this the

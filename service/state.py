@@ -6,16 +6,16 @@ from typing import Annotated, Literal
 
 from fastapi import Depends, Request
 
+from service.auth.api_keys import Keyring
+from service.auth.rate_limit import Rates
 from service.errors import NotReadyError
-from service.keyring import Keyring
-from service.loading import Loader
-from service.metrics import Metrics
-from service.rates import Rates
-from service.registry import Registry
-from service.scheduler import Scheduler
+from service.inference.admission import Workers
+from service.inference.scheduler import Scheduler
+from service.observability.metrics import Metrics
+from service.serving.loading import Loader
+from service.serving.registry import Registry
 from service.settings import Settings
 from service.siblings import Siblings
-from service.workers import Workers
 
 
 @dataclass

@@ -10,30 +10,32 @@ from types import ModuleType
 
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from rollcast.scene import SCENARIOS
-from training import calibration, campaign, clip_commands
-from training.artefact import initial_networks, load_exported
-from training.clips import Clips
-from training.dissect import dissected, dissection_table
-from training.evaluate import evaluation_sets, markdown_table, metric_rows, run
-from training.export import export_run, with_covariance
-from training.familiarity import FAMILIAR_SCENES, familiarise
-from training.initial import Initial
-from training.models.fieldnet import FieldNet
-from training.models.paper import VggEncoder, load_imagenet
-from training.models.predictor import Predictor
-from training.plots import draw_training
-from training.publish import DOCS, RESULTS, publish, publish_study
-from training.quantise import NotWorthItError, quantise
+from training.cli import footage
+from training.common.settings import runs_folder
+from training.data.clip_dataset import Clips
+from training.data.shards import Source, data_folder, in_processes, make_missing, split_shards
+from training.data.splits import Split
+from training.engine.trainer import Pace, Trainer
+from training.engine.warm_start import Initial
+from training.evaluation import world_check
+from training.evaluation.error_breakdown import dissected, dissection_table
+from training.evaluation.evaluate import evaluation_sets, markdown_table, metric_rows, run
+from training.export.export import export_run, with_covariance
+from training.export.footage import export_rig
+from training.export.load import initial_networks, load_exported
+from training.export.ood_fit import FAMILIAR_SCENES, familiarise
+from training.export.static_quantisation import NotWorthItError, quantise
+from training.networks.fieldnet import FieldNet
+from training.networks.recurrent import Predictor
+from training.networks.vgg import VggEncoder, load_imagenet
+from training.orchestration import campaign
 from training.recipes import RECIPES
-from training.report import with_results
-from training.results import committed
-from training.rig_export import export_rig
-from training.settings import runs_folder
-from training.simulate import Source, data_folder, in_processes, make_missing, split_shards
-from training.splits import Split
+from training.reporting.markdown import with_results
+from training.reporting.plots import draw_training
+from training.reporting.results import committed
 from training.studies import STUDIES
+from training.studies.publish import DOCS, RESULTS, publish, publish_study
 from training.studies.rows import BUDGET, Effort
-from training.trainer import Pace, Trainer
 
 MODELS = Path("models")
 README = Path("README.md")
@@ -93,7 +95,7 @@ def _parser() -> argparse.ArgumentParser:
         help="exported models (models/NAME/VERSION) or a run's folder to start from; the first "
         "one's encoder wins",
     )
-    clip_commands.add_options(train)
+    footage.add_options(train)
     train.add_argument(
         "--imagenet",
         type=Path,
@@ -105,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--processes", type=int, default=2, help="how many (with --ray)")
     train.set_defaults(run=_train)
 
-    clip_commands.add(commands, _show_lines)
+    footage.add(commands, _show_lines)
 
     curve = commands.add_parser("curve", help="draw the loss and the validation errors of a run")
     curve.add_argument("recipe", choices=sorted(RECIPES))
@@ -140,7 +142,7 @@ def _parser() -> argparse.ArgumentParser:
     exported.add_argument("--version", type=int, default=1)
     exported.add_argument("--models", type=Path, default=MODELS)
     exported.add_argument("--scenes", type=int, default=500, help="test scenes per scenario")
-    clip_commands.add_options(exported)
+    footage.add_options(exported)
     exported.add_argument("--name", help="of a model for clips (default: the recipe's)")
     exported.set_defaults(run=_export)
 
@@ -214,7 +216,7 @@ def _add_ray(command: argparse.ArgumentParser, what: str) -> None:
 def _with_ray() -> ModuleType:
     """Import what needs Ray, which is an extra."""
     try:
-        return importlib.import_module("training.cluster")
+        return importlib.import_module("training.orchestration.ray_backend")
     except ModuleNotFoundError as error:
         raise SystemExit(
             f"--ray needs the extra ray-training ({error}); `tools/environment.sh cluster --torch` "
@@ -240,7 +242,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
 
 
 def _calibrate(arguments: argparse.Namespace) -> None:
-    print(calibration.report(arguments.scenes))
+    print(world_check.report(arguments.scenes))
 
 
 def _train(arguments: argparse.Namespace) -> None:
@@ -248,7 +250,7 @@ def _train(arguments: argparse.Namespace) -> None:
     initial = [one for start in arguments.init for one in initial_networks(start)]
     pace = Pace(arguments.validate_every, simulators=arguments.workers)
     imagenet = arguments.imagenet and arguments.imagenet.resolve()
-    clips = clip_commands.clips_of(arguments)
+    clips = footage.clips_of(arguments)
     run = partial(_run_training, arguments.recipe, folder, pace, initial, imagenet, clips)
     if arguments.ray is None:
         error = run()
@@ -321,7 +323,7 @@ def _dissect(arguments: argparse.Namespace) -> None:
 
 def _export(arguments: argparse.Namespace) -> None:
     recipe, folder = RECIPES[arguments.recipe](), runs_folder() / arguments.recipe
-    clips = clip_commands.clips_of(arguments)
+    clips = footage.clips_of(arguments)
     try:
         if clips is None:
             manifests = export_run(

@@ -8,13 +8,13 @@ from typing import Any, Self, TypeVar, Unpack, cast
 import httpx2
 
 from rollcast.client import calls
-from rollcast.client.arrivals import Arrivals
+from rollcast.client._async import off_the_loop, repeated, side_by_side
 from rollcast.client.calls import Call, ForecastOptions, failure, reaching
 from rollcast.client.images import Crop, Frame, Frames
 from rollcast.client.results import Forecast, ForecastStep, Simulation
-from rollcast.client.tasks import off_the_loop, repeated, side_by_side
-from rollcast.http import AUTO_MODEL, Health, ModelDetail, ModelEntry
+from rollcast.client.stream import Arrivals
 from rollcast.scene import Domain, Scenario, Scene
+from rollcast.schemas import AUTO_MODEL, Health, ModelDetail, ModelEntry
 from rollcast.trajectory import OBSERVED_FRAMES
 
 T = TypeVar("T")

@@ -25,7 +25,8 @@ from rollcast.errors import (
     UnexpectedAnswerError,
     UnreachableError,
 )
-from rollcast.http import (
+from rollcast.scene import Domain, Scenario, Scene
+from rollcast.schemas import (
     REQUEST_ID_HEADER,
     Health,
     ModelDetail,
@@ -35,7 +36,6 @@ from rollcast.http import (
     Problem,
     SimulateResponse,
 )
-from rollcast.scene import Domain, Scenario, Scene
 
 T = TypeVar("T")
 
@@ -169,7 +169,7 @@ def predict(frames: Frames, final_frame: Frame | None, options: ForecastOptions)
 def predict_stream(
     frames: Frames, final_frame: Frame | None, options: ForecastOptions
 ) -> Call[None]:
-    """Ask as ``predict`` does; the answer is a stream of events (``rollcast.client.arrivals``)."""
+    """Ask as ``predict`` does; the answer is a stream of events (``rollcast.client.stream``)."""
     return _forecast_call("/predict/stream", lambda _: None, frames, final_frame, options)
 
 

@@ -11,7 +11,9 @@ from PIL import Image, ImageDraw
 from pydantic import BaseModel, ValidationError
 
 from rollcast.camera import camera_for
-from rollcast.http import (
+from rollcast.manifest import GAUSSIAN_HALF_RADIUS
+from rollcast.scene import COLORS, SCENARIOS, Scene
+from rollcast.schemas import (
     DEFAULT_HORIZON,
     ForecastObject,
     ModelDetail,
@@ -29,8 +31,6 @@ from rollcast.http import (
     StreamStep,
     SurfaceGrid,
 )
-from rollcast.manifest import GAUSSIAN_HALF_RADIUS
-from rollcast.scene import COLORS, SCENARIOS, Scene
 from rollcast.surfaces import surface_of
 from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ, OBSERVED_FRAMES
 

@@ -15,7 +15,8 @@ from PIL import Image
 
 from rollcast.client import pictures, tables
 from rollcast.client.images import Crop, Frames, decoded
-from rollcast.http import (
+from rollcast.scene import Color, Scene
+from rollcast.schemas import (
     ForecastObject,
     ModelReference,
     PredictResponse,
@@ -24,7 +25,6 @@ from rollcast.http import (
     StreamDone,
     StreamStep,
 )
-from rollcast.scene import Color, Scene
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -28,7 +28,7 @@ from pydantic import BaseModel, ValidationError
 
 from rollcast.client import fakes
 from rollcast.client.fakes import RefusalError
-from rollcast.http import Health, ModelList, PredictRequest, Problem, SimulateRequest
+from rollcast.schemas import Health, ModelList, PredictRequest, Problem, SimulateRequest
 
 __all__ = ["Asked", "FakeService"]
 

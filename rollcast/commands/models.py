@@ -6,7 +6,7 @@ import typer
 
 from rollcast.commands.options import DEFAULT_URL, Outcome, Url, client
 from rollcast.commands.printing import as_json, as_table
-from rollcast.http import ModelEntry
+from rollcast.schemas import ModelEntry
 
 HELP = """\
 List the models of a service, refused ones with the reason.

@@ -25,8 +25,8 @@ from rollcast.commands.printing import forecast_text
 from rollcast.commands.progress import waiting
 from rollcast.commands.reading import frame_of_step, read
 from rollcast.footage import SquareCrop
-from rollcast.http import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON
 from rollcast.scene import MAX_FORECAST_OBJECTS, Domain
+from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON
 from rollcast.trajectory import FRAME_RATE_HZ
 
 LONG_BLEND_S = 0.05

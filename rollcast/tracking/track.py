@@ -13,12 +13,12 @@ from scipy.optimize import linear_sum_assignment
 
 from rollcast.errors import FootageError
 from rollcast.footage import SquareCrop
+from rollcast.tracking.association import Identified, balls_in, identified, palette_evidence
 from rollcast.tracking.background import background_of
 from rollcast.tracking.detection import BIN_WIDTHS, BINS, Detections, Detector, radius_of_balls
-from rollcast.tracking.identity import Identified, balls_in, identified, palette_evidence
-from rollcast.tracking.pieces import Piece, pieces_of
 from rollcast.tracking.quality import NEAR, Doubts, Encounter, Quality, quality_of, runs
 from rollcast.tracking.smoothing import smoothed
+from rollcast.tracking.tracklets import Piece, pieces_of
 from rollcast.tracking.tracks import Tracks
 from rollcast.video import every_frame
 

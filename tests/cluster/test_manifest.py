@@ -7,7 +7,7 @@ import yaml
 from ray._common.utils import import_attr
 from ray.serve.schema import ServeDeploySchema
 
-from service.cluster import Replica
+from service.process.ray_serve import Replica
 from tests.e2e.conftest import ROOT
 
 MANIFEST = ROOT / "docker" / "kubernetes" / "ray.yaml"

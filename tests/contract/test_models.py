@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rollcast.familiarity import look
 from rollcast.manifest import FRAMES_INPUT, GOLDEN_FILE, MANIFEST_FILE, Manifest
-from service.rollout import Step, assemble, roll_out
-from service.runtime import OnnxPredictor
+from rollcast.ood import look
+from service.inference.onnx_runtime import OnnxPredictor
+from service.inference.rollout import Step, assemble, roll_out
 from service.settings import Settings
 
 FOLDERS = sorted(path.parent for path in Settings().models_dir.glob("*/*/manifest.json"))

@@ -19,7 +19,7 @@ from tests.e2e.conftest import (
 
 def keys(file: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [SERVICE_PYTHON, "-m", "service.keys", "--file", file, *arguments],
+        [SERVICE_PYTHON, "-m", "service.auth", "--file", file, *arguments],
         cwd=ROOT,
         capture_output=True,
         text=True,

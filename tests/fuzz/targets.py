@@ -22,16 +22,16 @@ from PIL import Image
 from pydantic import ValidationError
 from starlette.requests import Request
 
-from rollcast.http import PredictRequest
 from rollcast.manifest import Manifest
+from rollcast.schemas import PredictRequest
 from service.app import create_app
-from service.bodies import parse_json, read_form
 from service.errors import ServiceError
-from service.images import decode_frames
-from service.problems import document
-from service.protocol import InferRequest
+from service.http.image_decoding import decode_frames
+from service.http.oip.schemas import InferRequest
+from service.http.oip.tensors import read_query, split
+from service.http.problem_details import document
+from service.http.request_body import parse_json, read_form
 from service.settings import Settings
-from service.tensors import read_query, split
 from tests.service import samples
 
 Target = Callable[[bytes], None]

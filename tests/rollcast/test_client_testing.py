@@ -9,8 +9,8 @@ import rollcast.client.testing
 from rollcast.client import Client
 from rollcast.client.testing import FakeService
 from rollcast.errors import BusyError, RefusedError
-from rollcast.http import Problem
 from rollcast.scene import SCENARIOS
+from rollcast.schemas import Problem
 from tests.rollcast.clients import PROBLEM
 
 FRAMES = np.zeros((4, 64, 64, 3), np.uint8)

@@ -19,7 +19,7 @@ from rollcast.__main__ import main
 from rollcast.client import Client
 from rollcast.client.testing import FakeService
 from rollcast.commands.serve import container_command, is_checkout
-from rollcast.http import ModelEntry, ModelList, Problem
+from rollcast.schemas import ModelEntry, ModelList, Problem
 from tests.rollcast.clients import PROBLEM
 
 COMMANDS = ["serve", "predict", "simulate", "models", "doctor"]

@@ -84,15 +84,15 @@ class AsyncClient(
     ) -> None
     async def health(
         self,
-    ) -> rollcast.http.Health
+    ) -> rollcast.schemas.Health
     async def model(
         self,
         name: str,
         version: int | None = None,
-    ) -> rollcast.http.ModelDetail
+    ) -> rollcast.schemas.ModelDetail
     async def models(
         self,
-    ) -> list[rollcast.http.ModelEntry]
+    ) -> list[rollcast.schemas.ModelEntry]
     async def predict(
         self,
         frames: Frames,
@@ -158,15 +158,15 @@ class Client(
     ) -> None
     def health(
         self,
-    ) -> rollcast.http.Health
+    ) -> rollcast.schemas.Health
     def model(
         self,
         name: str,
         version: int | None = None,
-    ) -> rollcast.http.ModelDetail
+    ) -> rollcast.schemas.ModelDetail
     def models(
         self,
-    ) -> list[rollcast.http.ModelEntry]
+    ) -> list[rollcast.schemas.ModelEntry]
     def predict(
         self,
         frames: Frames,
@@ -219,18 +219,18 @@ class Forecast(
         final_positions: jaxtyping.Float64[ndarray, 'objects 2'] | None,
         times_s: jaxtyping.Float64[ndarray, 'T'],
         colors: tuple[str, ...],
-        model: rollcast.http.ModelReference,
+        model: rollcast.schemas.ModelReference,
         frame_size: tuple[int, int],
         frame_rate: float,
         warnings: tuple[str, ...],
-        timing_ms: rollcast.http.PredictTiming,
+        timing_ms: rollcast.schemas.PredictTiming,
     ) -> None
     def from_events(
-        steps: Sequence[rollcast.http.StreamStep],
-        done: rollcast.http.StreamDone,
+        steps: Sequence[rollcast.schemas.StreamStep],
+        done: rollcast.schemas.StreamDone,
     ) -> Self
     def from_response(
-        response: rollcast.http.PredictResponse,
+        response: rollcast.schemas.PredictResponse,
     ) -> Self
     def plot(
         self,
@@ -252,7 +252,7 @@ class ForecastStep(
         angular_velocities: jaxtyping.Float64[ndarray, 'objects 3'] | None,
     ) -> None
     def from_event(
-        event: rollcast.http.StreamStep,
+        event: rollcast.schemas.StreamStep,
     ) -> Self
 class ForecastStream(
         client: rollcast.client.sync.Client,
@@ -280,7 +280,7 @@ class Simulation(
         surface: rollcast.client.results.Surface | None = None,
     ) -> None
     def from_response(
-        response: rollcast.http.SimulateResponse,
+        response: rollcast.schemas.SimulateResponse,
     ) -> Self
     def plot(
         self,
@@ -311,7 +311,7 @@ class FakeService(
         positions: Union[ArrayLike, NoneType] = None,
         *,
         variance_px2: float = 1.0,
-        problem: rollcast.http.Problem | None = None,
+        problem: rollcast.schemas.Problem | None = None,
     ) -> None\
 """)
 

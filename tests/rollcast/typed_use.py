@@ -24,7 +24,7 @@ from rollcast.client import (
 )
 from rollcast.client.testing import FakeService
 from rollcast.errors import BusyError, ClientError, ProblemError
-from rollcast.http import Health, ModelDetail, ModelEntry, Problem
+from rollcast.schemas import Health, ModelDetail, ModelEntry, Problem
 
 
 def right(frames: list[np.ndarray]) -> None:

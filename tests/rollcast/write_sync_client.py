@@ -26,7 +26,7 @@ RENAMED = {
     "aclose": "close",
     "aiter": "iter",
     "aread": "read",
-    "tasks": "threads",
+    "_async": "_sync",
 }
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from rollcast.familiarity import Familiarity
 from rollcast.manifest import HASHED_FILES, OUTPUT_SHAPES, Manifest
-from service.registry import Model, Registry
-from service.rollout import Arrays, Step
+from rollcast.ood import Familiarity
+from service.inference.rollout import Arrays, Step
+from service.serving.registry import Model, Registry
 
 UNITS = {
     "positions": "px",

@@ -12,8 +12,8 @@ from torch import nn
 from tqdm import tqdm
 
 from training.baselines.learner import Given, Learner
-from training.readings import save_whole
-from training.schedules import Schedule
+from training.data.feature_cache import save_whole
+from training.objectives.schedules import Schedule
 
 CHECKPOINT = "checkpoint.pt"
 BEST = "best.pt"

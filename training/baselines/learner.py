@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from training.baselines.states import HALF_FRAME_PX
-from training.models.predictor import ANGULAR_VELOCITY_UNIT
+from training.networks.recurrent import ANGULAR_VELOCITY_UNIT
 
 Given = TypeVar("Given")
 

@@ -20,7 +20,7 @@ from training.baselines.interaction import (
 )
 from training.baselines.learner import Forecast, Learner
 from training.baselines.states import HALF_FRAME_PX, VELOCITY_UNIT
-from training.dataset import Batch
+from training.data.windows import Batch
 
 FRAME = 32
 """Side of the frames that it sees, pixels."""

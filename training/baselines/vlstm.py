@@ -15,8 +15,8 @@ from torch import Tensor, nn
 from training.baselines.interaction import perceptron
 from training.baselines.learner import Forecast, Learner
 from training.baselines.states import HALF_FRAME_PX
-from training.dataset import Batch
-from training.models.predictor import ANGULAR_VELOCITY_UNIT
+from training.data.windows import Batch
+from training.networks.recurrent import ANGULAR_VELOCITY_UNIT
 
 UNITS, LAYERS, DECODER = 512, 2, 256
 CONVOLUTIONS = (0, 3, 6, 8)

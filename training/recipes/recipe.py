@@ -8,12 +8,12 @@ import numpy as np
 import torch
 
 from rollcast.scene import Scenario
-from training.losses import Loss, MotionLoss, ReadingLoss, SpinLoss
-from training.models.predictor import Family
-from training.models.presets import PRESETS
-from training.models.task import Task
-from training.schedules import Cosine, Schedule
-from training.simulate import Source
+from training.data.shards import Source
+from training.networks.presets import PRESETS
+from training.networks.recurrent import Family
+from training.networks.task import Task
+from training.objectives.losses import Loss, MotionLoss, ReadingLoss, SpinLoss
+from training.objectives.schedules import Cosine, Schedule
 
 
 @dataclass(frozen=True)

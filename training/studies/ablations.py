@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from training.models.task import Task
+from training.data.shards import Change
+from training.networks.task import Task
 from training.recipes.compact import one_ball_between, several_balls
 from training.recipes.recipe import Milestone, Recipe
-from training.simulate import Change
 from training.studies.claims import NO_MODULE
 from training.studies.conditions import PLAIN_WHITE
 from training.studies.long_term import MODELS, OURS, of_one_ball

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from training.results import Cell
+from training.reporting.results import Cell
 
 Outcome: TypeAlias = Literal["holds", "does not hold", "open"]
 Errors: TypeAlias = Mapping[tuple[str, int, str, str, str], float]

@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 from rollcast.scene import SMALL_RADIUS_M
-from training.simulate import Change
+from training.data.shards import Change
 from training.studies.long_term import MODELS, OURS
 from training.studies.rows import Row, least_squares, resting, shipped
 from training.studies.study import Study

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from training.models.task import Task
+from training.networks.task import Task
 from training.recipes.compact import ONE_BALL_DATA, one_ball, several_balls
 from training.recipes.recipe import Recipe
 from training.studies.rows import (

@@ -10,7 +10,6 @@ import torch
 from torch.utils.data import DataLoader
 
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
-from training.artefact import load_exported
 from training.baselines.fitting import Course, fit
 from training.baselines.ifs import FRAMES, Ifs
 from training.baselines.learner import Learner, joined
@@ -20,16 +19,17 @@ from training.baselines.oracle import Oracle
 from training.baselines.states import States, StateSet
 from training.baselines.vin import Vin
 from training.baselines.vlstm import VLstm
-from training.dataset import Batch, TrainingStream, collate
-from training.metrics import Forecasts, beside_truth, forecast, stays_put
-from training.models.predictor import Family, Network
+from training.common.settings import runs_folder
+from training.data.scene_cache import survey
+from training.data.shards import load_recordings, simulate_split
+from training.data.windows import Batch, TrainingStream, collate
+from training.engine.trainer import BEST, Pace, Trainer
+from training.export.load import load_exported
+from training.networks.recurrent import Family, Network
+from training.objectives.metrics import Forecasts, beside_truth, forecast, stays_put
+from training.objectives.schedules import Cosine, Exponential, Plateau
 from training.recipes.recipe import Recipe
-from training.schedules import Cosine, Exponential, Plateau
-from training.settings import runs_folder
-from training.simulate import load_recordings, simulate_split
 from training.studies.subject import FixedScenes, Subject
-from training.survey import survey
-from training.trainer import BEST, Pace, Trainer
 
 BUDGET = 60_000
 """Training sequences of each kind of scene for every row that learns, if there is time for them."""

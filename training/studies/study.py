@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from training.evaluate import measured_at
-from training.metrics import Forecasts
-from training.paper import published
-from training.results import Cell, Curve, Results, curve_of
+from training.evaluation.evaluate import measured_at
+from training.evaluation.paper import published
+from training.objectives.metrics import Forecasts
+from training.reporting.results import Cell, Curve, Results, curve_of
 from training.studies.rows import Effort, Row
 from training.studies.subject import FixedScenes, Subject
 

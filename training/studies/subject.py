@@ -14,11 +14,17 @@ from rollcast.simulation.recording import TEST_START
 from rollcast.trajectory import FIRST_FORECAST_FRAME
 from training.baselines.least_squares import POINTS
 from training.baselines.states import States, StateSet
-from training.dataset import Window, WindowMaker, compared_horizon, fixed_windows, generated_horizon
+from training.data.shards import Change, Recording, Source, load_recordings, simulate_split
+from training.data.splits import Split
+from training.data.windows import (
+    Window,
+    WindowMaker,
+    compared_horizon,
+    fixed_windows,
+    generated_horizon,
+)
 from training.recipes.compact import ONE_BALL_DATA, several_balls
 from training.recipes.recipe import DataShare
-from training.simulate import Change, Recording, Source, load_recordings, simulate_split
-from training.splits import Split
 
 COLLISION_STEP = 10
 """Forecast step that the first collision follows (paper, table "Effect of multiple-ball module on

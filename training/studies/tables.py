@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from training.report import title
-from training.results import Cell, Curve, Results
+from training.reporting.markdown import title
+from training.reporting.results import Cell, Curve, Results
 from training.studies.claims import CLAIMS, Verdict, verdicts
 from training.studies.rows import Row
 from training.studies.study import Study

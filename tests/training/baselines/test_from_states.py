@@ -10,7 +10,7 @@ from training.baselines.ifs import Ifs
 from training.baselines.learner import Learner
 from training.baselines.npe import Npe
 from training.baselines.states import States
-from training.schedules import Exponential
+from training.objectives.schedules import Exponential
 
 LEARNERS = [partial(Npe, angular_velocity=True), partial(Npe, angular_velocity=False),
             partial(Ifs, angular_velocity=True), partial(Ifs, angular_velocity=False)]  # fmt: skip

@@ -1,0 +1,109 @@
+"""``POST /predict`` and ``/predict/stream``: four frames in, a forecast out."""
+
+from collections.abc import AsyncGenerator, Callable
+from concurrent.futures import Future
+from functools import partial
+
+from fastapi import APIRouter, Request, Response
+from fastapi.sse import EventSourceResponse, format_sse_event
+
+from rollcast.schemas import PredictRequest, PredictResponse, StreamDone, StreamStep
+from service.errors import ServiceError
+from service.http.openapi import body_of, problems_of
+from service.http.prediction import StreamedForecast, WholeForecast
+from service.http.problem_details import document
+from service.http.request_body import JSON, MULTIPART, media_type, parse_json, read_body, read_form
+from service.inference.deadlines import (
+    CLIENT_CLOSED_REQUEST,
+    ClientGoneError,
+    Patience,
+    answered,
+    streamed,
+    timeout_s,
+)
+from service.state import ServiceState
+
+router = APIRouter(tags=["forecast"])
+
+PROBLEMS = problems_of(400, 401, 403, 404, 408, 413, 415, 422, 429, 503, 504)
+EVENTS = "text/event-stream"
+
+
+@router.post(
+    "/predict",
+    response_model=PredictResponse,
+    responses=PROBLEMS,
+    openapi_extra=body_of(PredictRequest, JSON, MULTIPART),
+)
+async def predict(request: Request, service: ServiceState) -> Response:
+    """Forecast where the balls of four frames go, with angular velocities and covariances."""
+    service.require_serving()
+    parse = await _body(request)
+    try:
+        content = await answered(
+            request,
+            timeout_s(request, service.settings),
+            partial(
+                service.inference.submit, WholeForecast(parse, service.registry, service.metrics)
+            ),
+        )
+    except ClientGoneError:
+        return Response(status_code=CLIENT_CLOSED_REQUEST)
+    return Response(content, media_type=JSON)
+
+
+@router.post(
+    "/predict/stream",
+    response_class=Response,  # declared as EventSourceResponse, FastAPI would take the route over
+    responses={
+        **PROBLEMS,
+        200: {
+            "description": "Server-sent events: a `step` for every step (StreamStep), then `done` "
+            "(StreamDone), or `error` with a problem document.",
+            "content": {EVENTS: {"schema": {"type": "string"}}},
+        },
+    },
+    openapi_extra=body_of(PredictRequest, JSON, MULTIPART),
+)
+async def predict_stream(request: Request, service: ServiceState) -> Response:
+    """Forecast as /predict does, and send every step as soon as it is there."""
+    service.require_serving()
+    parse = await _body(request)
+
+    def submit(
+        patience: Patience, emit: Callable[[StreamStep | StreamDone], object]
+    ) -> Future[None]:
+        forecast = StreamedForecast(parse, service.registry, service.metrics, emit)
+        return service.inference.submit(forecast, patience)
+
+    events = streamed(request, timeout_s(request, service.settings), submit)
+    # What is refused before the first step is refused as by /predict.
+    first = await anext(events, None)
+    return EventSourceResponse(_lines(first, events))
+
+
+async def _body(request: Request) -> Callable[[], PredictRequest]:
+    """Read the body; parsing JSON is left to a worker."""
+    if media_type(request, (JSON, MULTIPART)) == JSON:
+        return partial(parse_json, await read_body(request), PredictRequest)
+    form = await read_form(request, PredictRequest, lists=frozenset({"frames"}))
+    return lambda: form
+
+
+async def _lines(
+    first: StreamStep | StreamDone | None, rest: AsyncGenerator[StreamStep | StreamDone]
+) -> AsyncGenerator[bytes]:
+    try:
+        if first is not None:
+            yield _event(first)
+        async for event in rest:
+            yield _event(event)
+    except ServiceError as error:
+        yield format_sse_event(event="error", data_str=document(error))
+    finally:
+        await rest.aclose()
+
+
+def _event(event: StreamStep | StreamDone) -> bytes:
+    name = "done" if isinstance(event, StreamDone) else "step"
+    return format_sse_event(event=name, data_str=event.model_dump_json())

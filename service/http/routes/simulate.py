@@ -1,0 +1,49 @@
+"""``POST /simulate``: a scene with its true path."""
+
+from concurrent.futures.process import BrokenProcessPool
+
+from fastapi import APIRouter, Request, Response
+
+from rollcast.errors import SceneParametersError, SceneRejectedError
+from rollcast.schemas import SimulateRequest, SimulateResponse
+from service.errors import InvalidValueError, SceneRejectedProblem, SimulationLostError
+from service.http.openapi import body_of, problems_of
+from service.http.problem_details import in_plain_words
+from service.http.request_body import JSON, media_type, parse_json, read_body
+from service.simulation.pool import simulate
+from service.state import ServiceState
+
+router = APIRouter(tags=["simulation"])
+
+
+@router.post(
+    "/simulate",
+    name="simulate",
+    response_model=SimulateResponse,
+    responses=problems_of(400, 401, 403, 408, 413, 415, 422, 429, 503, 504),
+    openapi_extra=body_of(SimulateRequest, JSON),
+)
+async def simulate_scene(request: Request, service: ServiceState) -> Response:
+    """Simulate and draw a scene; the same seed gives the same bytes."""
+    service.require_open()
+    media_type(request, (JSON,))
+    body = parse_json(await read_body(request), SimulateRequest)
+    _check_pixels(body, service.settings.max_simulated_pixels)
+    try:
+        content = await service.simulation.run(simulate, body)
+    except SceneParametersError as error:
+        expected = in_plain_words(error.expected)
+        raise InvalidValueError.at(error.field, error.value, expected) from error
+    except SceneRejectedError as error:
+        raise SceneRejectedProblem.at("seed", body.seed, f"another one: {error}") from error
+    except BrokenProcessPool as error:
+        lost = "The process that simulates died or cannot be started; the next call gets a new one."
+        raise SimulationLostError(lost) from error
+    return Response(content, media_type=JSON)
+
+
+def _check_pixels(body: SimulateRequest, limit: int) -> None:
+    if body.include_frames and body.steps * body.image_size**2 > limit:
+        largest = limit // body.image_size**2
+        expected = f"at most {largest} with frames of this size, or include_frames false"
+        raise InvalidValueError.at("steps", body.steps, expected)

@@ -1,0 +1,313 @@
+"""Sequences for the networks: windows of stored simulations, rendered on the fly.
+
+Training draws scenes, start times and symmetries for ever from a seeded generator; validation and
+test take every scene once at its scenario's fixed start (paper, section 3.1, simulation details).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, NotRequired, TypedDict
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch.utils.data import IterableDataset
+
+from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
+from rollcast.simulation.recording import TEST_START
+from rollcast.simulation.rendering import Renderer
+from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+from training.common.distributed import Share
+from training.data.scene_cache import Survey
+from training.data.shards import STORED_FRAMES, Recording
+from training.networks.perception import measures_of
+from training.networks.recurrent import Sight
+
+MAX_HORIZON = 40
+"""Longest forecast that training or evaluation asks of a stored simulation (T_gen)."""
+
+
+def generated_horizon(objects: int) -> int:
+    """T_gen: the longest horizon that the paper's tables report for so many balls."""
+    return MAX_HORIZON if objects == 1 else 30
+
+
+def compared_horizon(objects: int) -> int:
+    """T_train of the paper: the horizon at which models are compared, whatever theirs is."""
+    return generated_horizon(objects) // 2
+
+
+FRAME_SHAPE = (NETWORK_FRAME_SIZE, NETWORK_FRAME_SIZE, 3)
+
+LAST_START = STORED_FRAMES - FIRST_FORECAST_FRAME - MAX_HORIZON
+"""Last frame of a stored simulation at which such a window can begin."""
+
+
+class Scenery(NamedTuple):
+    """What a network with an explicit state learns to read besides.
+
+    Halves of the frame in image axes (x right, y down, z towards the camera).
+    """
+
+    centres: Float[np.ndarray, "objects frames 3"]
+    """Ball centres from the first observed frame to the last step."""
+    ground: Float[np.ndarray, "3 cells cells"]
+    """See :func:`training.data.rest_height_map.resting_ground`."""
+    measures: Float[np.ndarray, "2"]
+    """See :func:`training.networks.perception.measures_of`."""
+
+
+class Window(NamedTuple):
+    """One sequence: the seen frames and the truth of the steps t = 0..T-1 (128-px units, rad/s)."""
+
+    frames: UInt8[np.ndarray, "seen 128 128 3"]
+    """Empty where nothing is to be seen."""
+    positions: Float[np.ndarray, "objects steps 2"]
+    angular_velocities: Float[np.ndarray, "objects steps 3"]
+    scenery: Scenery | None = None
+
+
+class Batch(TypedDict):
+    """A batch of windows as tensors."""
+
+    frames: torch.Tensor
+    positions: torch.Tensor
+    angular_velocities: torch.Tensor
+    scenery: NotRequired[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]
+    """The fields of :class:`Scenery`."""
+    practice: NotRequired["Batch"]
+    """More windows without frames."""
+    sight: NotRequired[Sight]
+    """What was read of the frames, in their place."""
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """One of the square's eight symmetries: quarter turns, then perhaps a mirror in x.
+
+    The camera's square, the walls and every scene distribution are invariant under them.
+    """
+
+    quarter_turns: int
+    mirror: bool
+
+    def apply(self, window: Window) -> Window:
+        """Transform frames, positions, angular velocities and scenery alike.
+
+        Angular velocity is a pseudo-vector: a mirror in x keeps its x and flips its y and z.
+        """
+        frames = np.rot90(window.frames, self.quarter_turns, axes=(1, 2))
+        positions = window.positions - NETWORK_FRAME_SIZE / 2
+        spin = window.angular_velocities
+        for _ in range(self.quarter_turns):
+            # Counter-clockwise as seen: world (x, y) -> (-y, x), so image (x, y) -> (y, -x).
+            positions = np.stack([positions[..., 1], -positions[..., 0]], axis=-1)
+            spin = np.stack([-spin[..., 1], spin[..., 0], spin[..., 2]], axis=-1)
+        if self.mirror:
+            frames = frames[:, :, ::-1]
+            positions = positions * np.array([-1, 1])
+            spin = spin * np.array([1, -1, -1])
+        scenery = None if window.scenery is None else self._apply_to_scenery(window.scenery)
+        return Window(frames, positions + NETWORK_FRAME_SIZE / 2, spin, scenery)
+
+    def _apply_to_scenery(self, scenery: Scenery) -> Scenery:
+        centres, ground = scenery.centres, np.rot90(scenery.ground, self.quarter_turns, axes=(1, 2))
+        for _ in range(self.quarter_turns):
+            centres = np.stack([centres[..., 1], -centres[..., 0], centres[..., 2]], axis=-1)
+            ground = np.stack([ground[1], -ground[0], ground[2]])
+        if self.mirror:
+            centres = centres * np.array([-1, 1, 1])
+            ground = ground[:, :, ::-1] * np.array([-1, 1, 1])[:, None, None]
+        return Scenery(centres, ground, scenery.measures)
+
+
+class WindowMaker:
+    """Cuts and renders windows; keeps the shaded background of every scene it has seen.
+
+    Parameters
+    ----------
+    final_step
+        Forecast step that a fifth frame shows; None leaves that frame out.
+    survey
+        Of the recordings; without it every scene is shaded when it is first seen.
+    scenery
+        Whether windows have scenery, which needs a survey.
+    """
+
+    def __init__(
+        self,
+        recordings: Sequence[Recording],
+        final_step: int | None,
+        survey: Survey | None = None,
+        *,
+        scenery: bool = False,
+    ) -> None:
+        self._recordings = recordings
+        self._final_step = final_step
+        self._survey = survey
+        self._grounds = survey.ground if scenery and survey is not None else None
+        self._renderers: dict[int, Renderer] = {}
+
+    def window(self, index: int, start: int, horizon: int, *, seen: bool = True) -> Window:
+        """Window of scene ``index`` whose first observed frame is ``start``."""
+        scene, trajectory = self._recordings[index].scene, self._recordings[index].trajectory
+        camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
+        steps = trajectory.window(start + FIRST_FORECAST_FRAME, horizon)
+        return Window(
+            self._frames(index, start) if seen else np.empty((0, *FRAME_SHAPE), np.uint8),
+            camera.project(steps.positions_m).swapaxes(0, 1),
+            steps.angular_velocities_rad_s.swapaxes(0, 1),
+            self._scenery(index, start, horizon),
+        )
+
+    def _frames(self, index: int, start: int) -> UInt8[np.ndarray, "seen 128 128 3"]:
+        scene, trajectory = self._recordings[index].scene, self._recordings[index].trajectory
+        if index not in self._renderers:
+            camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
+            empty = None if self._survey is None else self._survey.empty[index]
+            self._renderers[index] = Renderer(scene, camera, empty)
+        frames = self._renderers[index].render(trajectory.window(start, OBSERVED_FRAMES))
+        if self._final_step is None:
+            return frames
+        last = trajectory.window(start + FIRST_FORECAST_FRAME + self._final_step, 1)
+        return np.concatenate([frames, self._renderers[index].render(last)])
+
+    def _scenery(self, index: int, start: int, horizon: int) -> Scenery | None:
+        if self._grounds is None:
+            return None
+        scene, trajectory = self._recordings[index].scene, self._recordings[index].trajectory
+        half_width = camera_for(scene.scenario, NETWORK_FRAME_SIZE).half_width_m
+        centres = trajectory.window(start, FIRST_FORECAST_FRAME + horizon).positions_m
+        centres = centres.swapaxes(0, 1) * (np.array([1, -1, 1]) / half_width)
+        return Scenery(centres, self._grounds[index], measures_of(half_width, scene.radius_m))
+
+
+class _Drawn(NamedTuple):
+    """Which window is a row of a batch."""
+
+    group: int
+    scene: int
+    start: int
+    symmetry: Symmetry
+
+
+class TrainingStream(IterableDataset[Batch]):
+    """Endless batches. Batch k depends on the seed and on k alone, so training can resume anywhere.
+
+    Parameters
+    ----------
+    groups
+        Recordings by source, with the share of the batch that each gets.
+    latest_starts
+        For every group, the last frame at which a window may begin.
+    final_step
+        Forecast step that a fifth frame shows; None leaves that frame out.
+    surveys
+        One for every group.
+    practice
+        Windows without frames beside every batch.
+    seen
+        Whether the windows have frames.
+    scenery
+        Whether they have scenery.
+    share
+        The rows of every batch that are made.
+    """
+
+    def __init__(
+        self,
+        groups: Sequence[Sequence[Recording]],
+        shares: Sequence[float],
+        latest_starts: Sequence[int],
+        final_step: int | None,
+        batch_size: int,
+        seed: int,
+        first_batch: int,
+        surveys: Sequence[Survey],
+        practice: int = 0,
+        *,
+        seen: bool = True,
+        scenery: bool = False,
+        share: Share | None = None,
+    ) -> None:
+        if max(latest_starts) > LAST_START:
+            raise ValueError(
+                f"latest_start is {max(latest_starts)}; at most {LAST_START} is stored"
+            )
+        self._makers = [
+            WindowMaker(group, final_step, survey, scenery=scenery)
+            for group, survey in zip(groups, surveys, strict=True)
+        ]
+        self._practice = practice
+        self._seen = seen
+        self._sizes = [len(group) for group in groups]
+        self._shares = np.asarray(shares) / np.sum(shares)
+        self._latest_starts = latest_starts
+        self._batch_size = batch_size
+        self._seed = seed
+        self._first_batch = first_batch
+        self._share = share or Share()
+
+    def __iter__(self) -> Iterator[Batch]:
+        """Batches from ``first_batch`` on; several loader processes share them out in turn."""
+        worker = torch.utils.data.get_worker_info()
+        first, stride = (0, 1) if worker is None else (worker.id, worker.num_workers)
+        number = self._first_batch + first
+        while True:
+            generator = np.random.default_rng([self._seed, number])
+            yield self._batch(generator)
+            number += stride
+
+    def _batch(self, generator: np.random.Generator) -> Batch:
+        batch = collate(self._windows(generator, self._batch_size, seen=self._seen))
+        if self._practice:
+            batch["practice"] = collate(self._windows(generator, self._practice, seen=False))
+        return batch
+
+    def _windows(self, generator: np.random.Generator, rows: int, *, seen: bool) -> list[Window]:
+        # All are drawn, whoever makes them: the batch is the same for any number of shares.
+        drawn = [self._draw(generator) for _ in range(rows)]
+        return [self._window(drawn[row], seen=seen) for row in self._share.of(rows)]
+
+    def _draw(self, generator: np.random.Generator) -> _Drawn:
+        group = int(generator.choice(len(self._makers), p=self._shares))
+        return _Drawn(
+            group,
+            scene=int(generator.integers(self._sizes[group])),
+            start=int(generator.integers(self._latest_starts[group] + 1)),
+            symmetry=Symmetry(int(generator.integers(4)), bool(generator.integers(2))),
+        )
+
+    def _window(self, drawn: _Drawn, *, seen: bool) -> Window:
+        maker = self._makers[drawn.group]
+        window = maker.window(drawn.scene, drawn.start, MAX_HORIZON, seen=seen)
+        return drawn.symmetry.apply(window)
+
+
+def fixed_windows(
+    recordings: Sequence[Recording], horizon: int, final_step: int | None
+) -> list[Window]:
+    """Every recording once, seen from its scenario's fixed test start."""
+    maker = WindowMaker(recordings, final_step)
+    return [
+        maker.window(index, TEST_START[recording.scene.scenario], horizon)
+        for index, recording in enumerate(recordings)
+    ]
+
+
+def collate(windows: Sequence[Window]) -> Batch:
+    """Stack windows into a batch of tensors."""
+    batch = Batch(
+        frames=torch.from_numpy(np.stack([window.frames for window in windows])),
+        positions=_float32([window.positions for window in windows]),
+        angular_velocities=_float32([window.angular_velocities for window in windows]),
+    )
+    sceneries = [window.scenery for window in windows if window.scenery is not None]
+    if sceneries:
+        centres, grounds, scales = zip(*sceneries, strict=True)
+        batch["scenery"] = (_float32(centres), _float32(grounds), _float32(scales))
+    return batch
+
+
+def _float32(arrays: Sequence[np.ndarray]) -> torch.Tensor:
+    return torch.from_numpy(np.stack(arrays).astype(np.float32))
