@@ -93,7 +93,8 @@ class Scene(BaseModel):
     slope: tuple[Slope, Slope] | None = None
     """Tables: rise per metre along the world's x and y."""
     walls_m: tuple[Metres, Metres, Metres, Metres] | None = None
-    """Tables: cushions at (left, bottom, right, top), world x and y; None leaves the table open."""
+    """Tables: cushions at (left, bottom, right, top), world x and y; open tables have them far out
+    of view."""
     friction: Friction | None = None
     """Coulomb coefficient between balls and ground."""
     ball_friction: Friction | None = None
@@ -140,9 +141,8 @@ class Scene(BaseModel):
         if self.textured and self.objects > 1:
             raise ValueError("textured must be false with several balls: they are told by colour")
         wanted = _SHAPE_FIELDS[self.scenario]
-        for name in sorted({*_SHAPE_FIELDS["heightfield"], "axis_ratio", "slope", "walls_m"}):
-            given = getattr(self, name) is not None
-            if given != (name in wanted) and not (name == "walls_m" and self.scenario == "table"):
+        for name in sorted({name for names in _SHAPE_FIELDS.values() for name in names}):
+            if (getattr(self, name) is not None) != (name in wanted):
                 verb = "needs" if name in wanted else "has no"
                 raise ValueError(f"scenario {self.scenario!r} {verb} {name}")
         if self.scenario == "hemisphere" and self.axis_ratio != 1.0:
@@ -168,6 +168,6 @@ _SHAPE_FIELDS: Mapping[Scenario, tuple[str, ...]] = {
     "hemisphere": ("axis_ratio",),
     "ellipsoid": ("axis_ratio",),
     "heightfield": ("noise_scale", "noise_offset_m", "light_position_m"),
-    "table": ("slope",),
+    "table": ("slope", "walls_m"),
 }
 """Fields that a scenario needs."""

@@ -301,18 +301,18 @@ class Heightfield:
 
 
 class Table:
-    """The plane z = slope_x x + slope_y y, with or without vertical walls.
+    """The plane z = slope_x x + slope_y y between four vertical walls.
 
     Parameters
     ----------
     slope
         Rise per metre along the world's x and y.
     walls_m
-        Left, bottom, right and top wall, world x and y; None for an open table.
+        Left, bottom, right and top wall, world x and y.
     """
 
     def __init__(
-        self, slope: tuple[float, float], walls_m: tuple[float, float, float, float] | None
+        self, slope: tuple[float, float], walls_m: tuple[float, float, float, float]
     ) -> None:
         self.walls_m = walls_m
         self._slope = slope
@@ -331,11 +331,10 @@ class Table:
 
     def clears(self, centre: Vector3, radius: float) -> bool:
         """Whether a ball can start at ``centre``: above the table and within the walls."""
-        if self.walls_m is not None:
-            left, bottom, right, top = self.walls_m
-            sides = (centre[0] - left, right - centre[0], centre[1] - bottom, top - centre[1])
-            if min(sides) < radius - _TOUCH_M:
-                return False
+        left, bottom, right, top = self.walls_m
+        sides = (centre[0] - left, right - centre[0], centre[1] - bottom, top - centre[1])
+        if min(sides) < radius - _TOUCH_M:
+            return False
         below = self.contact_at(centre[0], centre[1])
         return _clearance(below, centre) >= radius - _TOUCH_M
 
@@ -356,6 +355,7 @@ def _clearance(contact: Contact, centre: Vector3) -> float:
 def surface_of(scene: Scene) -> EllipsoidalBowl | Heightfield | Table:
     """Build the surface that a scene describes."""
     if scene.slope is not None:
+        assert scene.walls_m is not None
         return Table(scene.slope, scene.walls_m)
     if scene.axis_ratio is not None:
         return EllipsoidalBowl(scene.axis_ratio, scene.rotation_rad)

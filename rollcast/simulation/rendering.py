@@ -247,8 +247,6 @@ def _checkerboard(bowl: EllipsoidalBowl, x: np.ndarray, y: np.ndarray) -> np.nda
 
 def _cloth(table: Table, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Cloth within the walls and cushions beyond them."""
-    if table.walls_m is None:
-        return np.broadcast_to(_CLOTH_COLOR, (*x.shape, 3))
     left, bottom, right, top = table.walls_m
     within = (left <= x) & (x <= right) & (bottom <= y) & (y <= top)
     return np.where(within[..., None], _CLOTH_COLOR, _CUSHION_COLOR)

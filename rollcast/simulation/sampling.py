@@ -23,6 +23,8 @@ NOISE_PLANE_SIDE_M = 8.0
 LIGHT_HEIGHT_M = 2.0
 MAX_STARTS = 1000
 """Draws of one ball's start before the scene is taken as it is, for the whole to be judged."""
+OUT_OF_VIEW_M = (-5.0, -5.0, 5.0, 5.0)
+"""Walls of an open table."""
 MAX_TABLE_STARTS = 100
 """The same on tables, where a start is acceptable unless balls overlap."""
 
@@ -197,7 +199,7 @@ def _draw_table(generator: np.random.Generator) -> dict[str, Any]:
     return {
         "radius_m": radius,
         "slope": (0.0, 0.0) if level else tuple(slope),
-        "walls_m": (-left, -bottom, right, top) if walled else None,
+        "walls_m": (-left, -bottom, right, top) if walled else OUT_OF_VIEW_M,
     }
 
 
@@ -209,7 +211,8 @@ def _table_starts(fields: Mapping[str, Any], generator: np.random.Generator) -> 
     radius = fields["radius_m"]
     table = Table(fields["slope"], fields["walls_m"])
     room = TABLE_HALF_WIDTH_M
-    left, bottom, right, top = fields["walls_m"] or (-room, -room, room, room)
+    left, bottom = (max(side, -room) for side in fields["walls_m"][:2])
+    right, top = (min(side, room) for side in fields["walls_m"][2:])
     first = True
 
     def draw() -> Start:

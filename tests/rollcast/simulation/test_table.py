@@ -14,7 +14,7 @@ from tests.rollcast.simulation.lab import Motion, run
 
 RADIUS = 0.05
 LOSSLESS = {"friction": 0.2, "rolling_resistance": 0.0, "damping": 0.0}
-WALLS = (-1.0, -1.0, 1.0, 1.0)
+WALLS, OPEN = (-1.0, -1.0, 1.0, 1.0), (-5.0, -5.0, 5.0, 5.0)
 
 
 def table(
@@ -22,7 +22,7 @@ def table(
     velocities: list[tuple[float, float]],
     *,
     slope: tuple[float, float] = (0.0, 0.0),
-    walls: tuple[float, float, float, float] | None = None,
+    walls: tuple[float, float, float, float] = OPEN,
     **fields: object,
 ) -> Scene:
     """A scene with balls that touch the table at these points, moving along it."""
@@ -174,13 +174,12 @@ def test_drawn_tables_are_as_promised(simulator, objects):
         assert (np.abs(centres[0, :, :2]) < 1.25).all()
         surface = surface_of(scene)
         assert all(surface.clears(centre, scene.radius_m) for centre in scene.positions_m)
-        if scene.walls_m is not None:
-            left, bottom, right, top = scene.walls_m
-            room = scene.radius_m - 0.02
-            assert (centres[..., 0] > left + room).all()
-            assert (centres[..., 0] < right - room).all()
-            assert (centres[..., 1] > bottom + room).all()
-            assert (centres[..., 1] < top - room).all()
+        left, bottom, right, top = scene.walls_m
+        room = scene.radius_m - 0.02
+        assert (centres[..., 0] > left + room).all()
+        assert (centres[..., 0] < right - room).all()
+        assert (centres[..., 1] > bottom + room).all()
+        assert (centres[..., 1] < top - room).all()
 
 
 def test_some_balls_of_many_rest(simulator):
