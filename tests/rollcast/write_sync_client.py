@@ -25,7 +25,7 @@ RENAMED = {
     "AsyncGenerator": "Generator",
     "aclose": "close",
     "aiter": "iter",
-    "aread": "read",
+    "aiter_bytes": "iter_bytes",
     "_async": "_sync",
 }
 
