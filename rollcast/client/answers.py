@@ -50,8 +50,9 @@ def translated(request: httpx2.Request, proxy: Proxy | None) -> Generator[None]:
         except ClientError:
             raise
         except (httpx2.TimeoutException, TimeoutError) as error:
+            limit_s = request.extensions["timeout"]["read"]
             raise RequestTimeoutError(
-                f"{shown(request.url)} did not answer in time{way}: {_reason(error)}"
+                f"{shown(request.url)} did not answer within {limit_s:g} s{way}"
             ) from error
         except (httpx2.SSEError, httpx2.DecodingError, httpx2.InvalidURL, ValueError) as error:
             raise UnexpectedAnswerError(
