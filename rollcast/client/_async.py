@@ -38,7 +38,9 @@ class Connections:
     def __init__(self, target: Target, transport: httpx2.AsyncBaseTransport | None) -> None:
         self._target, self._transport = target, transport
         self._clients: dict[asyncio.AbstractEventLoop, httpx2.AsyncClient] = {}
-        self._spare: httpx2.AsyncClient | None = self._made()  # mistakes are told at once
+        self._spare: httpx2.AsyncClient | None = (
+            self._made()
+        )  # so that errors of the environment are raised here
 
     def client(self) -> httpx2.AsyncClient:
         """Return the HTTP client of the running event loop."""

@@ -45,7 +45,9 @@ class Connections:
     def __init__(self, target: Target, transport: httpx2.BaseTransport | None) -> None:
         self._target, self._transport = target, transport
         self._lock = Lock()
-        self._client: httpx2.Client | None = self._made()  # mistakes are told at once
+        self._client: httpx2.Client | None = (
+            self._made()
+        )  # so that errors of the environment are raised here
 
     def client(self) -> httpx2.Client:
         """Return the HTTP client."""
