@@ -334,10 +334,9 @@ class Client:
     def _run(self, call: Call[T]) -> T:
         http, deadline = self._connections.client(), Deadline(self._timeout_s)
         request = call.request(http, deadline)
-        with translated(request, self._target.proxy):
-            with within(deadline):
-                ask = partial(self._ask, call, http, request, deadline)
-                return with_retries(ask, self._retries, deadline)
+        with translated(request, self._target.proxy), within(deadline):
+            ask = partial(self._ask, call, http, request, deadline)
+            return with_retries(ask, self._retries, deadline)
 
     def _ask(
         self,
@@ -369,10 +368,9 @@ class Client:
         call = self._forecast(calls.predict_stream, frames, final_frame, options)
         http, deadline = self._connections.client(), Deadline(self._timeout_s)
         request = call.request(http, deadline)
-        with translated(request, self._target.proxy):
-            with within(deadline):
-                begin = partial(self._open, call, http, request, deadline)
-                return with_retries(begin, self._retries, deadline)
+        with translated(request, self._target.proxy), within(deadline):
+            begin = partial(self._open, call, http, request, deadline)
+            return with_retries(begin, self._retries, deadline)
 
     def _open(
         self,
@@ -502,9 +500,8 @@ class _Opened:
         if self._ahead is not None:
             step, self._ahead = self._ahead, None
             return step
-        with translated(self._response.request, self._target.proxy):
-            with within(self._deadline):
-                return self._arrived()
+        with translated(self._response.request, self._target.proxy), within(self._deadline):
+            return self._arrived()
 
     def close(self) -> None:
         self._events.close()

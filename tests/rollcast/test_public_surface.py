@@ -103,7 +103,7 @@ class AsyncClient(
         final_frame: Frame | None = None,
         final_step: int | numpy.integer[Any] | None = None,
         objects: int | numpy.integer[Any] | None = None,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'footage']] = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
         start_s: float | None = None,
@@ -125,7 +125,7 @@ class AsyncClient(
     ) -> 'AsyncForecastStream'
     async def simulate(
         self,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield']] = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table']] = None,
         *,
         seed: int | numpy.integer[Any] | None = None,
         objects: int | numpy.integer[Any] | None = None,
@@ -179,7 +179,7 @@ class Client(
         final_frame: Frame | None = None,
         final_step: int | numpy.integer[Any] | None = None,
         objects: int | numpy.integer[Any] | None = None,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'footage']] = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
         start_s: float | None = None,
@@ -201,7 +201,7 @@ class Client(
     ) -> 'ForecastStream'
     def simulate(
         self,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield']] = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table']] = None,
         *,
         seed: int | numpy.integer[Any] | None = None,
         objects: int | numpy.integer[Any] | None = None,
@@ -287,7 +287,7 @@ class Simulation(
         angular_velocities: jaxtyping.Float64[ndarray, 'objects steps 3'],
         times_s: jaxtyping.Float64[ndarray, 'steps'],
         radii_px: jaxtyping.Float64[ndarray, 'objects'],
-        colors: tuple[Literal['red', 'green', 'blue'], ...],
+        colors: tuple[Literal['red', 'green', 'blue', 'yellow', 'magenta', 'cyan', 'orange', 'white'], ...],
         scene: rollcast.scene.Scene,
         start_step: int,
         frame_size: tuple[int, int],
