@@ -300,6 +300,8 @@ def _scene(wish: SimulateRequest) -> Scene:
             "noise_offset_m": (0.0, 0.0),
             "light_position_m": (1.0, 1.0, 2.0),
         }
+    elif wish.scenario == "table":
+        shape = {"slope": (0.0, 0.0), "walls_m": (-1.2, -1.2, 1.2, 1.2)}
     sampled: dict[str, Any] = {
         "scenario": wish.scenario,
         "seed": wish.seed,
