@@ -44,9 +44,10 @@ def test_its_scenes_have_a_ground_where_it_is_asked_for(client, scenario):
     heights = scene.surface.heights_m
     assert (heights.dtype, heights.shape) == (np.float64, (9, 9))
     outside = np.isnan(heights)
-    assert outside[0, 0] == (scenario != "heightfield")
+    bowl = scenario in ("hemisphere", "ellipsoid")
+    assert outside[0, 0] == bowl
     assert not outside[4, 4]
-    assert scene.surface.half_width_m == (1.25 if scenario == "heightfield" else 1.05)
+    assert scene.surface.half_width_m == (1.05 if bowl else 1.25)
 
 
 @pytest.mark.parametrize("path", [[[1, 2], [3, 4], [5, 6]], [[[1, 2], [3, 4], [5, 6]]]], ids=len)
