@@ -16,6 +16,7 @@
   x DivergedError              422  the forecast leaves every bound before its horizon
   x QueueFullError             429
   x TooManyRequestsError       429  one key, or one address, asks more often than it may
+  x SimulationMissingError     501  PyBullet is not installed
   x SimulationLostError        503  the process that simulates died of it, or cannot be started
   x OutOfMemoryError           503  the machine, or the container, has no memory left for it
   x ModelUnavailableError      503  the model exists and is not served
@@ -167,6 +168,12 @@ class TooManyRequestsError(ServiceError):
     def __init__(self, detail: str, retry_after_s: int) -> None:
         super().__init__(detail)
         self.retry_after_s = retry_after_s
+
+
+class SimulationMissingError(ServiceError):
+    """PyBullet, the extra ``simulation``, is not installed in the service's environment."""
+
+    status, slug, title = 501, "simulation-not-installed", "Simulation is not installed"
 
 
 class SimulationLostError(ServiceError):

@@ -221,8 +221,8 @@ def _with_ray() -> ModuleType:
         return importlib.import_module("training.orchestration.ray_backend")
     except ModuleNotFoundError as error:
         raise SystemExit(
-            f"--ray needs the extra ray-training ({error}); `tools/environment.sh cluster --torch` "
-            "makes .venv/cluster, which has it"
+            f"--ray needs the extra ray-training ({error}); `tools/environment.sh test` makes "
+            ".venv/test, which has it"
         ) from error
 
 

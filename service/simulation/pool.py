@@ -16,6 +16,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 import numpy as np
@@ -37,6 +38,11 @@ T = TypeVar("T")
 
 SURFACE_POINTS = 65
 """Heights along a side of the frame: every 3 cm of a bowl, every 4 cm of a heightfield."""
+
+
+def is_installed() -> bool:
+    """Tell whether PyBullet, which the extra ``simulation`` brings, can be imported."""
+    return find_spec("pybullet") is not None
 
 
 @functools.cache

@@ -6,12 +6,24 @@ from fastapi import APIRouter, Request, Response
 
 from rollcast.errors import SceneParametersError, SceneRejectedError
 from rollcast.schemas import SimulateRequest, SimulateResponse
-from service.errors import InvalidValueError, SceneRejectedProblem, SimulationLostError
+from service.errors import (
+    InvalidValueError,
+    SceneRejectedProblem,
+    SimulationLostError,
+    SimulationMissingError,
+)
 from service.http.openapi import body_of, problems_of
 from service.http.problem_details import in_plain_words
 from service.http.request_body import JSON, media_type, parse_json, read_body
-from service.simulation.pool import simulate
+from service.simulation.pool import is_installed, simulate
 from service.state import ServiceState
+
+NOT_INSTALLED = (
+    "Simulations require PyBullet, which is not installed in the service's environment. Install "
+    "the extra `simulation` and restart the service: `make serve PYTHON=/path/to/python3.11` "
+    "installs it, `make serve SIMULATION=yes` compiles it on other versions. Forecasts do not "
+    "require it."
+)
 
 router = APIRouter(tags=["simulation"])
 
@@ -20,12 +32,14 @@ router = APIRouter(tags=["simulation"])
     "/simulate",
     name="simulate",
     response_model=SimulateResponse,
-    responses=problems_of(400, 401, 403, 408, 413, 415, 422, 429, 503, 504),
+    responses=problems_of(400, 401, 403, 408, 413, 415, 422, 429, 501, 503, 504),
     openapi_extra=body_of(SimulateRequest, JSON),
 )
 async def simulate_scene(request: Request, service: ServiceState) -> Response:
     """Simulate and draw a scene; the same seed gives the same bytes."""
     service.require_open()
+    if not is_installed():
+        raise SimulationMissingError(NOT_INSTALLED)
     media_type(request, (JSON,))
     body = parse_json(await read_body(request), SimulateRequest)
     _check_pixels(body, service.settings.max_simulated_pixels)

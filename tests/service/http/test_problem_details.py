@@ -20,6 +20,7 @@ from service.errors import (
     QueueFullError,
     ServiceError,
     SimulationLostError,
+    SimulationMissingError,
     UnknownModelError,
 )
 from service.http.problem_details import document, in_plain_words, invalid_values
@@ -151,6 +152,7 @@ FAILURES = {
     "loading": NotReadyError("loading"),
     "unavailable": ModelUnavailableError("gone"),
     "lost": SimulationLostError("lost"),
+    "missing": SimulationMissingError("missing"),
     "memory": OutOfMemoryError("none"),
     "no-memory": MemoryError("secret"),
     "unknown": UnknownModelError.at("model", "x", "y"),
@@ -188,6 +190,7 @@ def client(tmp_path_factory):
         ("loading", 503, "not-ready", True),
         ("unavailable", 503, "model-unavailable", True),
         ("lost", 503, "simulation-lost", True),
+        ("missing", 501, "simulation-not-installed", False),
         ("memory", 503, "out-of-memory", True),
         ("no-memory", 503, "out-of-memory", True),
         ("unknown", 404, "unknown-model", False),

@@ -1,5 +1,7 @@
 """Shards of scenes: made once, whole or not at all, the same bytes wherever they are made."""
 
+import sys
+
 import fsspec
 import numpy as np
 import pytest
@@ -69,6 +71,7 @@ def test_any_address_of_fsspecs_will_do(made):
     assert np.load(made / "2000000.npz")["positions"].dtype == np.float32
 
 
-def test_ray_is_an_extra_that_is_asked_for():
+def test_ray_is_an_extra_that_is_asked_for(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(SystemExit, match="--ray needs the extra ray-training"):
         _with_ray()
