@@ -12,13 +12,16 @@ from tests.training.export.test_export import ROOT
 from training.data.shards import SHARD_SCENES, load_recordings, simulate_split
 from training.data.windows import WindowMaker
 from training.export.export import hashes
-from training.export.ood_fit import FALSE_ALARMS, fit, judge, keep, looks
+from training.export.ood_fit import FALSE_ALARMS, fit, judge, keep, source_frame_stats
 
 
 @pytest.fixture(scope="module")
 def known(runs):
     """Looks of hemispheres: of those to fit to, and of others."""
-    return [looks(HEMISPHERE, split, SHARD_SCENES, 1) for split in ("training", "validation")]
+    return [
+        source_frame_stats(HEMISPHERE, split, SHARD_SCENES, 1)
+        for split in ("training", "validation")
+    ]
 
 
 @pytest.fixture(scope="module")
