@@ -6,7 +6,7 @@ t = 0 is the last observed frame.
 """
 
 import binascii
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import (
     BaseModel,
@@ -57,7 +57,12 @@ def _decode_base64(value: object) -> object:
         raise ValueError("base64 of a PNG, JPEG or WebP file, without line breaks") from error
 
 
-Integer = Annotated[int, Strict()]
+def _without_point(value: object) -> object:
+    """Turn 20.0 into 20: clients whose numbers are all floats write whole numbers so."""
+    return int(value) if type(value) is float and value.is_integer() else value
+
+
+Integer = Annotated[int, Strict(), BeforeValidator(_without_point)]
 Number = Annotated[float, Strict()]
 Flag = Annotated[bool, Strict()]
 ObjectCount = Annotated[Integer, Field(ge=1, le=MAX_OBJECTS)]
@@ -70,6 +75,9 @@ Point = tuple[Number, Number]
 Vector = tuple[Number, Number, Number]
 Matrix = tuple[Point, Point]
 Size = tuple[int, int]
+Item = TypeVar("Item")
+PerBall = Annotated[tuple[Item, ...], Field(max_length=MAX_OBJECTS, fail_fast=True)]
+"""A value of every ball."""
 
 
 class RequestBody(BaseModel):
@@ -226,11 +234,11 @@ class SceneParameters(RequestBody):
     damping: Number | None = None
     ball_restitution: Number | None = None
     wall_restitution: Number | None = None
-    mass_ratios: tuple[Number, ...] | None = None
-    spins_rad_s: tuple[Vector, ...] | None = None
-    positions_m: Annotated[tuple[Vector, ...], Field(min_length=1)] | None = None
-    velocities_m_s: tuple[Vector, ...] | None = None
-    orientations_xyzw: tuple[tuple[Number, Number, Number, Number], ...] | None = None
+    mass_ratios: PerBall[Number] | None = None
+    spins_rad_s: PerBall[Vector] | None = None
+    positions_m: Annotated[PerBall[Vector], Field(min_length=1)] | None = None
+    velocities_m_s: PerBall[Vector] | None = None
+    orientations_xyzw: PerBall[tuple[Number, Number, Number, Number]] | None = None
 
     def given(self) -> dict[str, Any]:
         """Return the parameters that were given, by name."""

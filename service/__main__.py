@@ -107,7 +107,9 @@ def _is_loopback(host: str) -> bool:
 
 
 def _fail(reason: str) -> int:
-    print(f"rollcast: {reason}", file=sys.stderr)
+    from service.auth.api_keys import without_tokens
+
+    print(f"rollcast: {without_tokens(reason)}", file=sys.stderr)
     return 1
 
 

@@ -6,6 +6,7 @@ from contextlib import asynccontextmanager, suppress
 
 from fastapi import Depends, FastAPI
 from fastapi_offline import FastAPIOffline
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from rollcast.schemas import API_VERSION
 from service.auth.api_keys import ApiKeyStore
@@ -25,6 +26,8 @@ from service.http.routes import (
 )
 from service.http.security_headers import install_headers
 from service.inference.admission import Workers
+from service.inference.body_budget import BodyBudget
+from service.inference.daemon_threads import run_in_daemon_thread
 from service.inference.scheduler import Scheduler
 from service.observability.log_config import install_access_log
 from service.observability.metrics import Metrics
@@ -71,6 +74,7 @@ def create_app(
             ),
             metrics=figures,
             load=load,
+            bodies=BodyBudget(settings.max_total_body_bytes),
             api_keys=None if settings.keys_file is None else ApiKeyStore(settings.keys_file),
             rate_limiter=None
             if settings.requests_per_minute is None
@@ -94,6 +98,7 @@ def create_app(
         description="Forecasts where rolling balls go from four video frames.",
         lifespan=lifespan,
         redoc_url=None,
+        root_path=settings.root_path,
         dependencies=[Depends(check_access)],
         # Figures and logs have homes of their own.
         telemetry={
@@ -108,6 +113,9 @@ def create_app(
     install_openapi(app)
     install_access_log(app, settings.replica, figures.request)
     install_headers(app, settings.allowed_origins)
+    if settings.trusted_proxies:
+        trusted = [str(network) for network in settings.trusted_proxies]
+        app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=trusted)
     for feature in (predict, simulate, models, inference, repository, health, metrics, home):
         app.include_router(feature.router)
     home.install_static_files(app)
@@ -117,7 +125,7 @@ def create_app(
 async def _load(state: State) -> None:
     """Load the models while the service already answers that it does so."""
     with state.metrics.loading.time():
-        registry = await asyncio.to_thread(state.load, state.settings.models_dir)
+        registry = await run_in_daemon_thread(state.load, state.settings.models_dir)
     state.serve(registry)
     if state.siblings is not None:
         refused = await state.siblings.ready(state.registry.refused)

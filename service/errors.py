@@ -7,7 +7,7 @@
   x UnknownModelError          404
   x BodyTooSlowError           408
   x BodyTooLargeError          413
-  x UnsupportedMediaTypeError  415  neither JSON nor multipart
+  x UnsupportedMediaTypeError  415  neither JSON nor multipart, or a compressed body
   x NotAnImageError            415  neither PNG nor JPEG nor WebP
   x BrokenImageError           422  the header is fine, the pixels are not
   x InvalidValueError          422  one or several values are wrong
@@ -18,6 +18,7 @@
   x TooManyRequestsError       429  one key, or one address, asks more often than it may
   x SimulationMissingError     501  PyBullet is not installed
   x SimulationLostError        503  the process that simulates died of it, or cannot be started
+  x TooManyBodiesError         503  all bodies that are being read exceed their budget
   x OutOfMemoryError           503  the machine, or the container, has no memory left for it
   x ModelUnavailableError      503  the model exists and is not served
   x NotReadyError              503  no model is served, yet or any more
@@ -180,6 +181,12 @@ class SimulationLostError(ServiceError):
     """The process that simulates died before it had answered."""
 
     status, slug, title = 503, "simulation-lost", "The simulation was lost"
+
+
+class TooManyBodiesError(ServiceError):
+    """All request bodies together exceed the bytes that the service holds."""
+
+    status, slug, title = 503, "too-many-bodies", "Too many request bodies at once"
 
 
 class OutOfMemoryError(ServiceError):

@@ -1,9 +1,9 @@
 """Models that come and go while the service answers: what has begun goes on with its own."""
 
-import asyncio
 from typing import Literal
 
 from service.errors import InvalidValueError, UnknownModelError
+from service.inference.daemon_threads import run_in_daemon_thread
 from service.serving.registry import Model
 from service.state import State
 
@@ -35,7 +35,7 @@ async def load(state: State, name: str) -> None:
         When a version is refused; the others are loaded.
     """
     async with state.changing:
-        versions = (await asyncio.to_thread(state.load, state.settings.models_dir, name)).models
+        versions = (await run_in_daemon_thread(state.load, state.settings.models_dir, name)).models
         if not versions:
             raise UnknownModelError.at("model", name, "the name of a folder of models")
         before = {model.version: model for model in state.registry.models if model.name == name}

@@ -9,7 +9,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 from loky import cpu_count
-from pydantic import DirectoryPath, Field, FilePath, ValidationError, model_validator
+from pydantic import (
+    DirectoryPath,
+    Field,
+    FilePath,
+    IPvAnyNetwork,
+    model_validator,
+)
 from pydantic_settings import (
     BaseSettings,
     PydanticBaseSettingsSource,
@@ -86,11 +92,21 @@ class Settings(BaseSettings):
     requests_per_minute: Annotated[int, Field(ge=1)] | None = None
     """Requests that each key may send in a minute, or without keys each address; one more is
     refused with 429. By default as many as it likes. They are counted by a single process."""
+    trusted_proxies: tuple[IPvAnyNetwork, ...] = ()
+    """Addresses or networks of reverse proxies, a JSON list, whose headers X-Forwarded-For and
+    X-Forwarded-Proto tell the client's address and scheme. By default no such header is
+    believed."""
+    root_path: Annotated[str, Field(pattern=r"^(/[A-Za-z0-9._~-]+)*$")] = ""
+    """Prefix under which a reverse proxy serves this service, as in ``/rollcast``; `/docs` needs
+    it. The proxy may strip it or pass it on."""
     allowed_origins: tuple[Origin, ...] = ()
     """Origins of web pages, SCHEME://HOST[:PORT], that may ask the service from a browser; "*"
     stands for all of them. By default its own page alone."""
     max_body_bytes: Annotated[int, Field(ge=1)] = 64 * MEBI
     """Largest request body; a larger one is refused with 413 while it is being read."""
+    max_total_body_bytes: Annotated[int, Field(ge=1)] = 256 * MEBI
+    """Bytes of all request bodies that one process holds until they have been parsed and answered.
+    Beyond it the largest body that is still arriving is refused with 503."""
     receive_timeout_s: Annotated[float, Field(gt=0)] = 60
     """Seconds in which the head of a request has to arrive, and then its body: a slower body is
     refused with 408, and its connection closed."""
@@ -119,8 +135,9 @@ class Settings(BaseSettings):
     simulation_timeout_s: Annotated[float, Field(gt=0)] = 120
     """Seconds after which a simulation is given up with 504 and its process killed; the next one
     gets a new process."""
-    max_simulated_pixels: Annotated[int, Field(ge=1)] = 64 * MEBI
-    """Largest number of pixels, all frames together, that one simulation may draw."""
+    max_simulated_pixels: Annotated[int, Field(ge=1)] = 16 * MEBI
+    """Largest number of pixels, all frames together, that one simulation may draw; by default
+    enough for 1000 frames of 128 pixels. A megapixel takes about 20 MB of memory."""
     retry_after_s: Annotated[int, Field(ge=1)] = 1
     """Seconds after which a refused client is asked to come back (the header Retry-After)."""
     drain_s: Annotated[float, Field(ge=0)] = 0
@@ -182,7 +199,7 @@ class Settings(BaseSettings):
         if self.keys_file is not None:
             try:
                 KeyFile.read(self.keys_file)
-            except (OSError, ValidationError) as error:
+            except (OSError, ValueError) as error:
                 raise ValueError(f"{self.keys_file} is no file of keys: {error}") from error
         return self
 

@@ -10,6 +10,7 @@ from service.auth.api_keys import ApiKeyStore
 from service.auth.rate_limit import RateLimiter
 from service.errors import NotReadyError
 from service.inference.admission import Workers
+from service.inference.body_budget import BodyBudget
 from service.inference.scheduler import Scheduler
 from service.observability.metrics import Metrics
 from service.serving.loading import Loader
@@ -32,6 +33,8 @@ class State:
         What is counted of all that.
     load
         Loads models from their folder.
+    bodies
+        Bytes of the request bodies that are held.
     api_keys
         The API keys; None where nobody is asked for one.
     rate_limiter
@@ -51,6 +54,7 @@ class State:
     simulation: Workers
     metrics: Metrics
     load: Loader
+    bodies: BodyBudget
     api_keys: ApiKeyStore | None = None
     rate_limiter: RateLimiter | None = None
     siblings: Siblings | None = None

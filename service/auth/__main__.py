@@ -5,9 +5,7 @@ import sys
 from datetime import date
 from pathlib import Path
 
-from pydantic import ValidationError
-
-from service.auth.api_keys import RIGHTS, Key, KeyFile, digest, new_token
+from service.auth.api_keys import RIGHTS, Key, KeyFile, digest, exclusively, new_token
 
 
 def main() -> int:
@@ -15,9 +13,10 @@ def main() -> int:
     arguments = _parser().parse_args()
     path: Path = arguments.file
     try:
-        known = KeyFile.read(path) if path.exists() else KeyFile()
-        return arguments.run(arguments, known, path)
-    except (OSError, ValidationError) as error:
+        with exclusively(path):
+            known = KeyFile.read(path) if path.exists() else KeyFile()
+            return arguments.run(arguments, known, path)
+    except (OSError, ValueError) as error:
         print(f"rollcast: {path}: {error}", file=sys.stderr)
         return 1
 

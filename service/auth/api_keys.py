@@ -4,17 +4,25 @@ Keys are 256 random bits, so a slow hash, which protects passwords that people c
 nothing here and cost every request its time (decision 0123).
 """
 
+import fcntl
 import hashlib
 import hmac
 import logging
+import os
+import re
 import secrets
 import time
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, date, datetime
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Annotated, Literal, TypeAlias, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic_core import ErrorDetails
+
+from rollcast.files import read_regular_file
 
 Right: TypeAlias = Literal["forecast", "manage", "metrics"]
 RIGHTS: tuple[Right, ...] = get_args(Right)
@@ -22,6 +30,9 @@ RIGHTS: tuple[Right, ...] = get_args(Right)
 TOKEN_BYTES = 32
 TOKEN_PREFIX = "rollcast_"
 """Tells scanners of leaked secrets, and people, what it is."""
+MAX_MISTAKES = 10
+"""Mistakes of a file that its refusal names."""
+_TOKEN = re.compile(re.escape(TOKEN_PREFIX) + r"[A-Za-z0-9_-]{32,}")
 LOOKED_AT_S = 1.0
 """Seconds for which the file is not looked at again."""
 log = logging.getLogger(__name__)
@@ -30,13 +41,21 @@ log = logging.getLogger(__name__)
 class Key(BaseModel):
     """A key, of which only the hash is known."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    # Whoever takes a key for its hash, or its name, shall not find it in a log.
+    model_config = ConfigDict(frozen=True, extra="forbid", hide_input_in_errors=True)
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,64}$")]
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     rights: tuple[Right, ...] = ("forecast",)
     expires: date | None = None
     """Last day on which it is good, UTC."""
+
+    @field_validator("name")
+    @classmethod
+    def _is_no_key(cls, name: str) -> str:
+        if name.startswith(TOKEN_PREFIX):
+            raise ValueError(f"a name that does not begin with {TOKEN_PREFIX}, as keys do")
+        return name
 
     def is_good(self, today: date) -> bool:
         """Whether it has not expired."""
@@ -46,7 +65,7 @@ class Key(BaseModel):
 class KeyFile(BaseModel):
     """The file of keys, JSON."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", hide_input_in_errors=True)
 
     keys: tuple[Key, ...] = ()
 
@@ -64,23 +83,57 @@ class KeyFile(BaseModel):
         Raises
         ------
         OSError
-            When it cannot be read.
-        pydantic.ValidationError
-            When it is not one of keys.
+            When it cannot be read, or is not a regular file.
+        ValueError
+            When it is not a file of keys. The message does not repeat what the file holds: keys are
+            pasted in wrong places.
         """
-        return cls.model_validate_json(path.read_bytes())
+        try:
+            return cls.model_validate_json(read_regular_file(path))
+        except ValidationError as error:
+            told = [_place(fault) for fault in error.errors(include_url=False)[:MAX_MISTAKES]]
+        raise ValueError("; ".join(told))
 
     def write(self, path: Path) -> None:
         """Write the file so that it is never seen half-written; only its owner may read it."""
-        unfinished = path.with_name(f"{path.name}.tmp")
-        unfinished.touch(mode=0o600)
-        unfinished.write_text(self.model_dump_json(indent=1) + "\n", encoding="utf-8")
-        unfinished.replace(path)
+        with NamedTemporaryFile(  # with mode 0600
+            "w", encoding="utf-8", dir=path.parent, prefix=f".{path.name}.", delete=False
+        ) as unfinished:
+            unfinished.write(self.model_dump_json(indent=1) + "\n")
+            unfinished.flush()
+            os.fsync(unfinished.fileno())
+        Path(unfinished.name).replace(path)
+
+
+@contextmanager
+def exclusively(path: Path) -> Generator[None]:
+    """Keep other processes that change a file of keys waiting until the block is left."""
+    # The folder is locked: the file itself is replaced by every change.
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(folder)
+
+
+def _place(fault: ErrorDetails) -> str:
+    """Say where a fault is and what would be right, without names or values of the file."""
+    known = {"keys", *Key.model_fields}
+    parts = [part for part in fault["loc"] if isinstance(part, int) or part in known]
+    place = ".".join(map(str, parts)) or "the file"
+    unknown = fault["type"] == "extra_forbidden"
+    return f"{place}: {'a field has no known name' if unknown else fault['msg']}"
 
 
 def new_token() -> str:
     """Draw a key."""
     return TOKEN_PREFIX + secrets.token_urlsafe(TOKEN_BYTES)
+
+
+def without_tokens(text: str) -> str:
+    """Return a text with every key in it cut down to its prefix."""
+    return _TOKEN.sub(f"{TOKEN_PREFIX}***", text) if TOKEN_PREFIX in text else text
 
 
 def digest(token: str) -> str:
@@ -95,7 +148,7 @@ class ApiKeyStore:
 
     Raises
     ------
-    OSError, pydantic.ValidationError
+    OSError, ValueError
         When the file cannot be read at first.
     """
 
@@ -129,7 +182,7 @@ class ApiKeyStore:
                 return
             self._seen = stamp
             self._keys = KeyFile.read(self._path).keys
-        except (OSError, ValidationError) as error:
+        except (OSError, ValueError) as error:
             log.warning("%s cannot be read, the keys stay as they were: %s", self._path, error)
         else:
             log.info("%d keys read", len(self._keys))

@@ -7,9 +7,19 @@ from service.errors import ForbiddenError, UnauthorizedError
 from service.http.problem_details import PROTOCOL_PATH
 from service.state import ServiceState
 
-OPEN_PATHS = frozenset({"/", "/health/live", "/health/ready", f"{PROTOCOL_PATH}/health/live",
-                        f"{PROTOCOL_PATH}/health/ready"})  # fmt: skip
-"""Routes that ask nobody for a key: the page, and what watches over the process."""
+OPEN_PATHS = frozenset(
+    {
+        "/",
+        "/docs",
+        "/docs/oauth2-redirect",
+        "/health/live",
+        "/health/ready",
+        f"{PROTOCOL_PATH}/health/live",
+        f"{PROTOCOL_PATH}/health/ready",
+    }
+)
+"""Routes that ask nobody for a key: the page, the description, and what watches over the process.
+`/openapi.json` and static files are no routes of FastAPI's and ask nobody either."""
 MANAGING_PATH = f"{PROTOCOL_PATH}/repository/models/"
 
 

@@ -1,14 +1,15 @@
-"""Encoded images in, 128 x 128 frames out. Format and size are checked before any pixel."""
+"""Encoded images in, 128 x 128 frames out. Format, size and cost are checked before any pixel."""
 
 import io
 import math
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, UInt8
-from PIL import Image, ImageFile, ImageOps
+from PIL import Image, ImageFile
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 from PIL.WebPImagePlugin import WebPImageFile
@@ -18,6 +19,27 @@ from rollcast.schemas import MAX_FRAME_SIZE, MIN_FRAME_SIZE
 from service.errors import BrokenImageError, InvalidValueError, NotAnImageError
 
 SIDES = f"a square of {MIN_FRAME_SIZE} to {MAX_FRAME_SIZE} pixels a side"
+MAX_SCANS = 32
+"""Scans of a progressive JPEG; encoders write ten to twenty. Each passes over all pixels."""
+START_OF_SCAN = b"\xff\xda"
+MAX_READS = 10_000
+"""Pieces (segments, chunks) of a file beyond one for every PIECE_BYTES of it."""
+PIECE_BYTES = 256
+DECODED_BYTES = 4096
+"""Bytes that are decoded before the decoder may be interrupted."""
+MAX_HEADER_BYTES = 4 * 2**20
+"""Bytes before the pixels of a JPEG or PNG file: profiles, previews, notes."""
+ORIENTATION_TAG = 0x0112
+TURNS: Mapping[int, Image.Transpose] = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+"""What turns a picture upright, by its EXIF orientation."""
 DECODER_ERRORS = (
     EOFError,
     IndexError,
@@ -32,9 +54,55 @@ DECODER_ERRORS = (
 )
 """What Pillow raises on damaged files."""
 
+Check = Callable[[], None]
+"""Raises when the result is no longer awaited."""
+
+
+class _Source(io.BytesIO):
+    """A file that its decoder reads in pieces, whose number is limited.
+
+    Raises
+    ------
+    InvalidValueError
+        From ``read``, when the file has too many pieces or too long a header.
+    """
+
+    def __init__(self, data: bytes, field: str, check: Check) -> None:
+        super().__init__(data)
+        self.header = True
+        self._field = field
+        self._check = check
+        self._reads = MAX_READS + len(data) // PIECE_BYTES
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Read a piece, unless the decoder shall end."""
+        self._check()
+        self._reads -= 1
+        if self._reads < 0:
+            raise InvalidValueError.at(self._field, "a file of many pieces", "fewer, longer pieces")
+        if self.header and self.tell() > MAX_HEADER_BYTES:
+            value = f"more than {MAX_HEADER_BYTES} bytes before the pixels"
+            raise InvalidValueError.at(self._field, value, "an image with less metadata")
+        return super().read(size)
+
+
+class _Jpeg(JpegImageFile):
+    """Pillow's own, whose EXIF block is not unfolded: entries that overlap make it any size."""
+
+    def _read_dpi_from_exif(self) -> None:
+        pass
+
+
+READERS: Mapping[bytes, type[ImageFile.ImageFile]] = {
+    b"\x89PNG\r\n\x1a\n": PngImageFile,
+    b"\xff\xd8\xff": _Jpeg,
+    b"RIFF": WebPImageFile,
+}
+"""The formats that are read, by what their files begin with."""
+
 
 def decode_frames(
-    images: Sequence[bytes], fields: Sequence[str]
+    images: Sequence[bytes], fields: Sequence[str], check: Check = lambda: None
 ) -> tuple[UInt8[np.ndarray, "K 128 128 3"], int]:
     """Decode the frames of one request.
 
@@ -44,6 +112,8 @@ def decode_frames(
         PNG, JPEG or WebP files, square and of one size.
     fields
         Name of each in the request, for messages.
+    check
+        Called between pieces of the work; what it raises ends the decoding.
 
     Returns
     -------
@@ -55,7 +125,7 @@ def decode_frames(
     NotAnImageError, BrokenImageError, InvalidValueError
         With the field at fault.
     """
-    opened = [_open(data, field) for data, field in zip(images, fields, strict=True)]
+    opened = [_open(data, field, check) for data, field in zip(images, fields, strict=True)]
     sides = [image.width for image in opened]
     if len(set(sides)) > 1:
         sizes = ", ".join(f"{side} x {side}" for side in sides)
@@ -65,23 +135,22 @@ def decode_frames(
     return np.stack(frames), sides[0]
 
 
-def _open(data: bytes, field: str) -> ImageFile.ImageFile:
+def _open(data: bytes, field: str, check: Check) -> ImageFile.ImageFile:
     """Read the header alone. Pillow's own ``open`` would refuse large images without their size."""
-    reader: type[ImageFile.ImageFile]
-    if data.startswith(b"\x89PNG\r\n\x1a\n"):
-        reader = PngImageFile
-    elif data.startswith(b"\xff\xd8\xff"):
-        reader = JpegImageFile
-    elif data[:4] == b"RIFF" and data[8:12] == b"WEBP":
-        reader = WebPImageFile
-    else:
+    reader = next((READERS[start] for start in READERS if data.startswith(start)), None)
+    if reader is None or (reader is WebPImageFile and data[8:12] != b"WEBP"):
         raise NotAnImageError.at(field, data, "a PNG, JPEG or WebP file")
+    if reader is _Jpeg and (scans := data.count(START_OF_SCAN)) > MAX_SCANS:
+        raise InvalidValueError.at(field, f"a JPEG of {scans} scans", f"at most {MAX_SCANS} scans")
+    source = _Source(data, field, check)
     try:
-        image = reader(io.BytesIO(data))
+        image = reader(source)
     except Image.DecompressionBombError as error:
         raise InvalidValueError.at(field, str(error), SIDES) from error
     except DECODER_ERRORS as error:
         raise BrokenImageError.at(field, data, "a whole image, its header is damaged") from error
+    source.header = False
+    image.decodermaxblock = DECODED_BYTES
     width, height = image.size
     if width != height or not MIN_FRAME_SIZE <= width <= MAX_FRAME_SIZE:
         raise InvalidValueError.at(field, f"{width} x {height}", SIDES)
@@ -91,11 +160,27 @@ def _open(data: bytes, field: str) -> ImageFile.ImageFile:
 def _load(image: ImageFile.ImageFile, field: str) -> UInt8[np.ndarray, "128 128 3"]:
     try:
         image.load()
-        ImageOps.exif_transpose(image, in_place=True)
     except DECODER_ERRORS as error:
         value = f"{image.format} of {image.width} x {image.height}"
         raise BrokenImageError.at(field, value, "a whole image, this one is cut off") from error
-    return _to_network_size(_to_rgb(image))
+    turn = TURNS.get(_orientation(image.info))
+    return _to_network_size(_to_rgb(image if turn is None else image.transpose(turn)))
+
+
+def _orientation(info: Mapping[Any, Any]) -> int:
+    """Return the orientation that the EXIF block of a file tells; 1 is upright."""
+    exif: bytes = info.get("exif", b"").removeprefix(b"Exif\0\0")
+    order = "<" if exif.startswith(b"II") else ">"
+    try:
+        (start,) = struct.unpack_from(f"{order}I", exif, 4)
+        (entries,) = struct.unpack_from(f"{order}H", exif, start)
+        for entry in range(entries):
+            tag, value = struct.unpack_from(f"{order}H6xH", exif, start + 2 + 12 * entry)
+            if tag == ORIENTATION_TAG:
+                return value
+    except struct.error:
+        pass  # damaged, as metadata often is
+    return 1
 
 
 def _to_rgb(image: Image.Image) -> Image.Image:

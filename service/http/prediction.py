@@ -19,13 +19,16 @@ from rollcast.schemas import (
     StreamStep,
 )
 from service.errors import InvalidValueError
-from service.http.image_decoding import decode_frames
+from service.http.image_decoding import Check, decode_frames
+from service.inference.deadlines import CancellationToken
 from service.inference.rollout import Forecast, Outputs, assemble, stacked
 from service.inference.scheduler import DecodedRequest
 from service.observability.metrics import Metrics
 from service.observability.tracing import Stages
 from service.serving.forecast_warnings import doubts
 from service.serving.registry import ModelQuery, Registry
+
+Parser = Callable[[Check], PredictRequest]
 
 
 class _Forecast:
@@ -34,16 +37,19 @@ class _Forecast:
     Parameters
     ----------
     parse
-        Returns the parsed request.
+        Returns the parsed request; calls what it is given now and then, to be interrupted.
+    token
+        Ends the work on a request that nobody waits for.
     """
 
     request: PredictRequest
     manifest: Manifest
 
     def __init__(
-        self, parse: Callable[[], PredictRequest], registry: Registry, metrics: Metrics
+        self, parse: Parser, token: CancellationToken, registry: Registry, metrics: Metrics
     ) -> None:
         self._parse = parse
+        self._token = token
         self._registry = registry
         self._stages = Stages(metrics)
         self._side = 0
@@ -59,7 +65,7 @@ class _Forecast:
         service.errors.ServiceError
             When the request cannot be served.
         """
-        self.request = request = self._parse()
+        self.request = request = self._parse(self._token.raise_if_cancelled)
         self._stages.next()
         final_frame = request.final_frame is not None
         query = ModelQuery(request.model, request.objects, request.scenario, final_frame)
@@ -67,7 +73,7 @@ class _Forecast:
         self.manifest = predictor.manifest
         self._horizon = _horizon(request, predictor.manifest)
         self._rate = request.frame_rate or predictor.manifest.frame_rate_hz
-        frames, self._side = _decode(request)
+        frames, self._side = _decode(request, self._token.raise_if_cancelled)
         self._doubts = doubts(predictor, self._horizon, self._rate, frames)
         self._stages.next()
         return DecodedRequest(predictor, frames[None], self._horizon)
@@ -106,9 +112,9 @@ class WholeForecast(_Forecast):
     """A forecast that is answered when all its steps are there, as JSON."""
 
     def __init__(
-        self, parse: Callable[[], PredictRequest], registry: Registry, metrics: Metrics
+        self, parse: Parser, token: CancellationToken, registry: Registry, metrics: Metrics
     ) -> None:
-        super().__init__(parse, registry, metrics)
+        super().__init__(parse, token, registry, metrics)
         self._steps: list[Outputs] = []
 
     def step(self, index: int, outputs: Outputs) -> None:
@@ -145,12 +151,13 @@ class StreamedForecast(_Forecast):
 
     def __init__(
         self,
-        parse: Callable[[], PredictRequest],
+        parse: Parser,
+        token: CancellationToken,
         registry: Registry,
         metrics: Metrics,
         emit: Callable[[StreamStep | StreamDone], object],
     ) -> None:
-        super().__init__(parse, registry, metrics)
+        super().__init__(parse, token, registry, metrics)
         self._emit = emit
         self._final: np.ndarray | None = None
 
@@ -215,11 +222,11 @@ def _horizon(request: PredictRequest, manifest: Manifest) -> int:
     return fixed
 
 
-def _decode(request: PredictRequest) -> tuple[np.ndarray, int]:
+def _decode(request: PredictRequest, check: Check) -> tuple[np.ndarray, int]:
     fields = [f"frames[{index}]" for index in range(len(request.frames))]
     if request.final_frame is None:
-        return decode_frames(request.frames, fields)
-    return decode_frames([*request.frames, request.final_frame], [*fields, "final_frame"])
+        return decode_frames(request.frames, fields, check)
+    return decode_frames([*request.frames, request.final_frame], [*fields, "final_frame"], check)
 
 
 def _objects(forecast: Forecast, manifest: Manifest) -> list[ForecastObject]:

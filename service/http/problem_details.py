@@ -26,6 +26,7 @@ from service.errors import (
     QueueFullError,
     ServiceError,
     SimulationLostError,
+    TooManyBodiesError,
     TooManyRequestsError,
     UnauthorizedError,
 )
@@ -41,12 +42,15 @@ PASSING = (
     NotReadyError,
     ModelUnavailableError,
     SimulationLostError,
+    TooManyBodiesError,
     OutOfMemoryError,
 )
 """Refusals after which it is worth while to ask again."""
 LONGEST_VALUE = 100
 """Characters of a wrong value that are sent back."""
 LONGEST_DETAIL = 600
+MAX_MISTAKES = 10
+"""Wrong values that an answer names; there may be more."""
 MOST_FAULTS = 4
 """Faults that the one text of the protocol tells."""
 
@@ -64,11 +68,13 @@ def document(error: ServiceError) -> str:
 
 def invalid_values(errors: Sequence[Any]) -> ServiceError:
     """Translate pydantic's list of errors, in which a model's own check names its field."""
-    mistakes = [_mistake(error) for error in errors]
+    mistakes = [_mistake(error) for error in errors[:MAX_MISTAKES]]
     if len(mistakes) == 1:
         return InvalidValueError.at(mistakes[0].field, mistakes[0].value, mistakes[0].expected)
-    fields = ", ".join(mistake.field for mistake in mistakes)
-    return InvalidValueError(f"{len(mistakes)} values are not acceptable: {fields}", mistakes)
+    fields = ", ".join(_shorten(mistake.field) for mistake in mistakes)
+    beyond = len(errors) - len(mistakes)
+    more = f" and {beyond} more" if beyond else ""
+    return InvalidValueError(f"{len(errors)} values are not acceptable: {fields}{more}", mistakes)
 
 
 def in_plain_words(message: str) -> str:
@@ -87,7 +93,7 @@ def _mistake(error: Mapping[str, Any]) -> Mistake:
         "too_long": f"at most {context.get('max_length')} items",
         "model_type": "an object",
     }.get(error["type"], in_plain_words(error["msg"]))
-    value = None if error["type"] == "missing" else error["input"]
+    value = None if error["type"] == "missing" else _presentable(error["input"])
     return Mistake(_path(error["loc"]), value, expected)
 
 
@@ -131,7 +137,8 @@ async def _answer(request: Request, error: Exception) -> Response:
             headers |= ALWAYS | {POLICY: NOTHING_RUNS}
             if (failed := request_id()) is not None:
                 headers[REQUEST_ID_HEADER] = failed
-    if f"{request.url.path}/".startswith(f"{PROTOCOL_PATH}/"):
+    path = request.scope["path"].removeprefix(request.scope.get("root_path", ""))
+    if f"{path}/".startswith(f"{PROTOCOL_PATH}/"):
         return _protocol_error(problem, headers)
     return Response(
         json.dumps(_members(problem)), problem.status, headers=headers, media_type=MEDIA_TYPE

@@ -1,12 +1,12 @@
 """Work off the event loop behind a bounded queue."""
 
-import asyncio
 import threading
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from typing import ParamSpec, Protocol, TypeVar
 
 from service.errors import QueueFullError
+from service.inference.deadlines import CancellationToken
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -69,6 +69,20 @@ class AdmissionLimit:
             self._shown.dec()
 
 
+class AbandonableExecutor(Protocol):
+    """An executor whose calls may end early, once nobody waits for their results."""
+
+    def submit(
+        self, abandoned: Future[None], call: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs
+    ) -> Future[T]:
+        """Hand a call over; ``abandoned`` is done when its result is no longer wanted."""
+        ...
+
+    def close(self) -> None:
+        """End the executor and what it runs."""
+        ...
+
+
 class Workers:
     """An executor that holds a bounded number of calls, running and waiting ones together.
 
@@ -82,7 +96,7 @@ class Workers:
         Follows the number that it holds.
     """
 
-    def __init__(self, executor: Executor, capacity: int, shown: Gauge) -> None:
+    def __init__(self, executor: AbandonableExecutor, capacity: int, shown: Gauge) -> None:
         self._executor = executor
         self._admission = AdmissionLimit(capacity, shown)
 
@@ -91,8 +105,10 @@ class Workers:
         """Whether nothing runs or waits."""
         return self._admission.idle
 
-    async def run(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Run a call and return what it returns. Cancelled before its turn, it never runs.
+    def submit(
+        self, token: CancellationToken, call: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs
+    ) -> Future[T]:
+        """Take a call. Cancelled before its turn, it never runs.
 
         Raises
         ------
@@ -101,16 +117,16 @@ class Workers:
         """
         self._admission.acquire()
         try:
-            future = self._executor.submit(call, *args, **kwargs)
+            future = self._executor.submit(token.cancelled, call, *args, **kwargs)
         except BaseException:
             self._admission.release()
             raise
         future.add_done_callback(self._release)
-        return await asyncio.wrap_future(future)
+        return future
 
     def _release(self, _: Future[T]) -> None:
         self._admission.release()
 
     def close(self) -> None:
-        """Let running calls end, drop waiting ones."""
-        self._executor.shutdown(cancel_futures=True)
+        """End the executor, and drop what waits."""
+        self._executor.close()

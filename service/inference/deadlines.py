@@ -4,7 +4,6 @@ A rollout asks between two steps whether it is still wanted, so its worker is fr
 """
 
 import asyncio
-import threading
 from collections.abc import AsyncGenerator, Callable
 from concurrent.futures import Future
 from contextlib import suppress
@@ -30,11 +29,13 @@ class CancellationToken:
     """Cancellation of a request: polled by a worker thread, cancelled by the event loop."""
 
     def __init__(self) -> None:
-        self._over = threading.Event()
+        self.cancelled: Future[None] = Future()
+        """Future that is done once the request is cancelled."""
 
     def cancel(self) -> None:
         """Cancel the request."""
-        self._over.set()
+        if not self.cancelled.done():
+            self.cancelled.set_result(None)
 
     def raise_if_cancelled(self) -> None:
         """Raise once the request is cancelled.
@@ -44,7 +45,7 @@ class CancellationToken:
         ClientGoneError
             When the request is cancelled.
         """
-        if self._over.is_set():
+        if self.cancelled.done():
             raise ClientGoneError
 
 
@@ -66,9 +67,9 @@ def timeout_s(request: Request, settings: Settings) -> float:
 
 
 async def answered(
-    request: Request, timeout: float, submit: Callable[[CancellationToken], Future[T]]
+    request: Request, timeout: float | None, submit: Callable[[CancellationToken], Future[T]]
 ) -> T:
-    """Submit a call and return what it returns.
+    """Submit a call and return what it returns; without a timeout it may take any time.
 
     Raises
     ------

@@ -15,12 +15,15 @@ from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rollcast.schemas import REPLICA_HEADER, REQUEST_ID_HEADER
+from service.auth.api_keys import without_tokens
 
 Count: TypeAlias = Callable[[str, str, int, float], None]
 """Is told a route's path, the method, the status and the seconds of a request."""
 
 access = logging.getLogger("service.http.authorization")
 
+MAX_PATH = 200
+"""Characters of a path that the log shows."""
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
 
 
@@ -71,7 +74,7 @@ class AccessLog:
         parts = {
             "client": ":".join(map(str, scope["client"] or ())),
             "method": scope["method"],
-            "path": quote(scope["path"]),
+            "path": quote(scope["path"][:MAX_PATH]),
             "status": status,
             "duration_ms": round(1e3 * seconds, 1),
         }
@@ -98,8 +101,19 @@ def request_id() -> str | None:
     return correlation_id.get()
 
 
+class TextLines(logging.Formatter):
+    """Writes a record as text, without API keys."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line of a record."""
+        return without_tokens(super().format(record))
+
+
 class JsonLines(JsonFormatter):
-    """Writes a record's time, level, logger, message, request, and what it has besides."""
+    """Writes a record's time, level, logger, message, request, and what it has besides.
+
+    API keys that stand in any of that are cut down to their prefix.
+    """
 
     def __init__(self) -> None:
         super().__init__(  # pyright: ignore[reportUnknownMemberType]
@@ -108,6 +122,10 @@ class JsonLines(JsonFormatter):
             rename_fields={"asctime": "time", "levelname": "level", "name": "logger"},
         )
         self.default_msec_format = "%s.%03d"
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line of a record."""
+        return without_tokens(super().format(record))
 
     def add_fields(
         self, log_data: dict[str, Any], record: logging.LogRecord, message_dict: dict[str, Any]
@@ -121,7 +139,7 @@ class JsonLines(JsonFormatter):
 def configuration(log_format: Literal["json", "text"], log_requests: bool) -> dict[str, Any]:
     """Return what ``logging.config.dictConfig`` takes; everything goes to the standard error."""
     text = "%(asctime)s %(levelname)s %(name)s: %(message)s"
-    formatter = {"()": JsonLines} if log_format == "json" else {"format": text}
+    formatter = {"()": JsonLines} if log_format == "json" else {"()": TextLines, "fmt": text}
     return {
         "version": 1,
         "disable_existing_loggers": False,

@@ -16,6 +16,9 @@ from service.settings import Settings
 
 MAX_HEAD_BYTES = 64 * 1024
 """Of a request's line and headers together, as far as they arrive in several pieces."""
+OVERHEAD_RATIO = 8
+"""Bytes of a body's framing (lengths of chunks, trailers) for each of its own, beyond those of a
+head: a chunk of one byte has five."""
 LOOKS = 4
 """Times that a connection is looked at before its time is over."""
 
@@ -54,6 +57,7 @@ class Connection(HttpToolsProtocol):
         self._look_again: asyncio.TimerHandle | None = None
         self._awaited_since: float | None = None
         self._head_bytes: int | None = None
+        self._framing = 0
         self._untaken = 0
         self._taken_at = 0.0
 
@@ -72,7 +76,12 @@ class Connection(HttpToolsProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Read; empty lines between two requests begin one too."""
+        self._framing += len(data)
         super().data_received(data)
+        if self._framing > MAX_HEAD_BYTES + len(data):
+            self.transport.abort()
+            return
+        self._framing = max(self._framing, 0)
         if self._head_bytes is not None:
             self._head_bytes += len(data)
             if self._head_bytes > MAX_HEAD_BYTES:
@@ -95,6 +104,12 @@ class Connection(HttpToolsProtocol):
             self.cycle.keep_alive = False
         self._awaited_since = self.loop.time() + self._interval
         self._head_bytes = None
+        self._framing = 0
+
+    def on_body(self, body: bytes) -> None:
+        """Count what is no body: trailers and extensions of chunks are kept by the parser."""
+        super().on_body(body)
+        self._framing -= (1 + OVERHEAD_RATIO) * len(body)
 
     def on_message_complete(self) -> None:
         """Await nothing more."""

@@ -42,6 +42,7 @@ class Server(uvicorn.Server):
                 log_config=configuration(settings.log_format, settings.log_requests),
                 access_log=False,  # service.observability.log_config has its own
                 server_header=False,
+                proxy_headers=False,  # the app reads those of trusted proxies
                 timeout_graceful_shutdown=settings.stop_timeout_s,
             )
         )

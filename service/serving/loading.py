@@ -2,6 +2,7 @@
 
 import hashlib
 import logging
+import re
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
@@ -13,6 +14,7 @@ import numpy as np
 from loky import cpu_count
 from pydantic import ValidationError
 
+from rollcast.files import read_regular_file
 from rollcast.manifest import (
     CARD_FILE,
     ENCODER_FILE,
@@ -62,8 +64,10 @@ def load_registry(
         Which artefacts have to compute their golden values: of so many processes that load the
         same, those of the n-th.
     """
-    folders = sorted(path for path in models_dir.glob("*/*") if path.name.isdecimal())
-    wanted = [folder for folder in folders if name in (None, folder.parent.name)]
+    folders = sorted(path for path in models_dir.glob("*/*") if _is_version(path))
+    folders = [folder for folder in folders if name in (None, folder.parent.name)]
+    wanted = [folder for folder in folders if folder.name == str(int(folder.name))]
+    misnamed = [_misnamed(folder) for folder in folders if folder not in wanted]
     # Those that take longest first, so that no core is left with one of them in the end.
     wanted.sort(key=_size_of_encoder, reverse=True)
     # One name is loaded again while others answer: it takes a single core from them.
@@ -71,7 +75,10 @@ def load_registry(
         place, processes = proves
         proved = [index % processes == place for index in range(len(wanted))]
         load = partial(_load, open_predictor=open_predictor)
-        return Registry(list(pool.map(load, wanted, proved)))
+        models = list(pool.map(load, wanted, proved))
+    labels = {model.label for model in models}
+    # Beside the version itself, which goes on being served, the log alone tells of them.
+    return Registry([*models, *(model for model in misnamed if model.label not in labels)])
 
 
 def begin_loading(models_dir: Path, proves: tuple[int, int]) -> Loader:
@@ -93,6 +100,18 @@ def begin_loading(models_dir: Path, proves: tuple[int, int]) -> Loader:
     # A process that is stopped meanwhile need not wait for it.
     Thread(target=fulfil, args=begun, name="loading", daemon=True).start()
     return load
+
+
+def _is_version(folder: Path) -> bool:
+    return re.fullmatch(r"[0-9]{1,9}", folder.name) is not None
+
+
+def _misnamed(folder: Path) -> Model:
+    """Refuse a folder such as ``01``, which would stand for the same version as ``1``."""
+    version = int(folder.name)
+    reason = f"the folder {folder.name} of version {version} must be named {version}"
+    log.warning("%s/%s is refused: %s", folder.parent.name, folder.name, reason)
+    return Model(folder.parent.name, version, reason=reason)
 
 
 def _size_of_encoder(folder: Path) -> int:
@@ -134,7 +153,7 @@ def _read_manifest(folder: Path) -> Manifest:
 def _check_hashes(folder: Path, manifest: Manifest) -> None:
     for name, digest in manifest.files.items():
         try:
-            data = (folder / name).read_bytes()
+            data = read_regular_file(folder / name)
         except FileNotFoundError as error:
             raise ArtefactError(f"{name} is missing") from error
         if hashlib.sha256(data).hexdigest() != digest:

@@ -14,10 +14,17 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
 from concurrent.futures.process import BrokenProcessPool
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
@@ -39,6 +46,9 @@ T = TypeVar("T")
 SURFACE_POINTS = 65
 """Heights along a side of the frame: every 3 cm of a bowl, every 4 cm of a heightfield."""
 
+ABANDONED_S = 0.5
+"""Seconds for which a simulation goes on whose client has left: a new process costs more."""
+
 
 def is_installed() -> bool:
     """Tell whether PyBullet, which the extra ``simulation`` brings, can be imported."""
@@ -54,12 +64,12 @@ def _simulator() -> "Simulator":
     return Simulator()
 
 
-def simulate(request: SimulateRequest) -> str:
+def simulate(request: SimulateRequest) -> bytes:
     """Simulate and draw a scene, in the process that holds the simulator.
 
     Returns
     -------
-    str
+    bytes
         A ``rollcast.schemas.SimulateResponse`` as JSON, which crosses to the other process cheaply.
 
     Raises
@@ -82,7 +92,7 @@ def simulate(request: SimulateRequest) -> str:
     camera = camera_for(scene.scenario, size)
     positions_px = camera.project(sequence.trajectory.positions_m)
     turning = sequence.trajectory.angular_velocities_rad_s
-    return SimulateResponse(
+    response = SimulateResponse(
         scenario=scene.scenario,
         seed=scene.seed,
         frame_rate=FRAME_RATE_HZ,
@@ -102,7 +112,8 @@ def simulate(request: SimulateRequest) -> str:
         ],
         surface=_surface(scene, camera) if request.include_surface else None,
         scene=scene,
-    ).model_dump_json()
+    )
+    return response.model_dump_json().encode("utf-8")
 
 
 def _surface(scene: Scene, camera: Camera) -> SurfaceGrid:
@@ -126,7 +137,7 @@ def _png_files(frames: UInt8[np.ndarray, "steps S S 3"]) -> list[str]:
     return files
 
 
-class RecycledProcess(ThreadPoolExecutor):
+class RecycledProcess:
     """An executor with one process, started on demand and replaced after a number of calls.
 
     It has one call at a time: a process that dies, or is killed because it takes too long, takes
@@ -142,49 +153,59 @@ class RecycledProcess(ThreadPoolExecutor):
     """
 
     def __init__(self, recycle_after: int, timeout_s: float) -> None:
-        super().__init__(1, "simulation")
+        self._thread = ThreadPoolExecutor(1, "simulation")
         self._recycle_after = recycle_after
         self._timeout_s = timeout_s
         self._calls = 0
         self._process = _new_process()
 
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+    def submit(
+        self, abandoned: Future[None], call: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs
+    ) -> Future[T]:
         """Hand a call to the process; arguments, result and exceptions are pickled.
 
-        The future raises ``BrokenProcessPool`` when the process dies or none can be started (there
-        are no descriptors left, or no memory), ``DeadlineExceededError`` when it takes too long.
+        Once ``abandoned`` is done, the process is killed if the call goes on. The future raises
+        ``BrokenProcessPool`` when the process dies or none can be started (there are no descriptors
+        left, or no memory), ``DeadlineExceededError`` when it takes too long.
         """
-        return super().submit(self._call, fn, *args, **kwargs)
+        return self._thread.submit(self._run, abandoned, call, *args, **kwargs)
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End; whoever has not waited for a running call by now does not wait for it."""
-        super().shutdown(wait=False, cancel_futures=cancel_futures)
+    def close(self) -> None:
+        """Drop waiting calls and kill the process with the running one."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
         _kill(self._process)
-        super().shutdown(wait)
+        self._thread.shutdown()
 
-    def _call(self, fn: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    def _run(
+        self, abandoned: Future[None], call: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs
+    ) -> T:
         try:
-            future = self._handed_over(fn, *args, **kwargs)
+            future = self._handed_over(call, *args, **kwargs)
         except (OSError, RuntimeError) as error:
             self._calls = self._recycle_after  # the next call begins with a new one
             raise BrokenProcessPool("No process can be started.") from error
-        done, _ = wait([future], self._timeout_s)
-        if not done:
+        ends: list[Future[Any]] = [future, abandoned]
+        wait(ends, self._timeout_s, FIRST_COMPLETED)
+        if abandoned.done():
+            wait([future], ABANDONED_S)
+        if not future.done():
             self._replace()
+            if abandoned.done():
+                raise CancelledError
             raise DeadlineExceededError(
                 f"The simulation had not ended after {self._timeout_s:g} s."
             )
         return future.result()
 
-    def _handed_over(self, fn: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+    def _handed_over(self, call: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         if self._calls == self._recycle_after:
             self._replace()
         self._calls += 1
         try:
-            return self._process.submit(fn, *args, **kwargs)
+            return self._process.submit(call, *args, **kwargs)
         except BrokenProcessPool:
             self._replace()
-            return self._process.submit(fn, *args, **kwargs)
+            return self._process.submit(call, *args, **kwargs)
 
     def _replace(self) -> None:
         before, self._process = self._process, _new_process()

@@ -13,14 +13,13 @@ import tempfile
 import warnings
 import zlib
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, NoReturn
 
 import numpy as np
 from PIL import Image
 from pydantic import ValidationError
-from starlette.requests import Request
 
 from rollcast.manifest import Manifest
 from rollcast.schemas import PredictRequest
@@ -30,7 +29,8 @@ from service.http.image_decoding import decode_frames
 from service.http.oip.schemas import InferRequest
 from service.http.oip.tensors import read_query, split
 from service.http.problem_details import document
-from service.http.request_body import parse_json, read_form
+from service.http.request_body import parse_form, parse_json
+from service.http.routes.predict import FILES, LISTS
 from service.settings import Settings
 from tests.service import samples
 
@@ -42,7 +42,6 @@ SCRATCH.mkdir(exist_ok=True)
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 LONGEST_REFUSAL = 8000
 SETTINGS = Settings(models_dir=SCRATCH, max_body_bytes=2**20)
-ANY_APP = SimpleNamespace(state=SimpleNamespace(service=SimpleNamespace(settings=SETTINGS)))
 
 
 class SmallManifest(Manifest):
@@ -65,26 +64,17 @@ def frames(data: bytes) -> None:
 
 
 def multipart(data: bytes) -> None:
-    """A content type, a line feed, a body that comes in pieces."""
+    """A content type, a line feed, a body."""
     kind, _, content = data.partition(b"\n")
-    pieces = [content[start : start + 97] for start in range(0, len(content), 97)]
-    messages = [{"type": "http.request", "body": piece, "more_body": True} for piece in pieces]
-    messages.append({"type": "http.request", "body": b"", "more_body": False})
-    rest = iter(messages)
-
-    async def receive() -> dict[str, Any]:
-        return next(rest)
-
-    scope = {
-        "type": "http",
-        "method": "POST",
-        "path": "/predict",
-        "headers": [(b"content-type", kind)],
-        "app": ANY_APP,
-    }
     with refusals():
-        form = read_form(Request(scope, receive), PredictRequest, frozenset({"frames"}))
-        request = LOOP.run_until_complete(form)
+        request = parse_form(
+            content,
+            kind.decode("latin-1"),
+            PredictRequest,
+            files=FILES,
+            lists=LISTS,
+            check=lambda: None,
+        )
         assert len(request.frames) == 4
 
 
@@ -132,7 +122,7 @@ class App:
         LOOP.run_until_complete(self._lifespan.__aenter__())
         while self._app.state.service.phase != "serving":
             LOOP.run_until_complete(asyncio.sleep(0.01))
-        self._app.state.service.simulation.run = _nothing_is_simulated
+        self._app.state.service.simulation.submit = _nothing_is_simulated
 
     def __call__(self, data: bytes) -> None:
         """Post a body; its first byte tells where, its second how long the JSON is said to be."""
@@ -189,8 +179,10 @@ class App:
         return start["status"], dict(start["headers"]), content
 
 
-async def _nothing_is_simulated(*_: object) -> str:
-    return "{}"
+def _nothing_is_simulated(*_: object) -> Future[bytes]:
+    done: Future[bytes] = Future()
+    done.set_result(b"{}")
+    return done
 
 
 @contextlib.contextmanager

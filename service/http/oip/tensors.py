@@ -80,7 +80,7 @@ def outputs_of(manifest: Manifest) -> list[TensorMetadata]:
     ]
 
 
-def split(body: bytes, announced: str | None) -> tuple[bytes, memoryview]:
+def split(body: bytes | bytearray, announced: str | None) -> tuple[bytes | bytearray, memoryview]:
     """Divide a body into its JSON and the binary tensors behind it.
 
     Parameters

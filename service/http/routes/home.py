@@ -30,6 +30,7 @@ REVALIDATED = {"Cache-Control": "no-cache"}
 router = APIRouter(include_in_schema=False)
 
 
+@router.head("/")
 @router.get("/")
 async def home() -> FileResponse:
     """Return the page."""

@@ -1,6 +1,7 @@
 """``/v2``: the Open Inference Protocol over REST, with the binary tensor extension."""
 
 from functools import partial
+from math import prod
 
 from fastapi import APIRouter, Request, Response, status
 
@@ -26,7 +27,7 @@ from service.http.oip.tensors import (
 )
 from service.http.openapi import errors_of, tensors_of
 from service.http.problem_details import PROTOCOL_PATH
-from service.http.request_body import JSON, parse_json, read_body
+from service.http.request_body import JSON, MAX_VALUES, Body, parse_json, received
 from service.inference.deadlines import (
     CLIENT_CLOSED_REQUEST,
     ClientGoneError,
@@ -74,12 +75,14 @@ async def server_metadata() -> ServerMetadata:
     return ServerMetadata(name="rollcast", version=API_VERSION, extensions=extensions)
 
 
+@router.head("/health/live", include_in_schema=False)
 @router.get("/health/live")
 async def server_live() -> ServerLive:
     """Answer as long as the process runs."""
     return ServerLive(live=True)
 
 
+@router.head("/health/ready", include_in_schema=False)
 @router.get(
     "/health/ready", responses={status.HTTP_503_SERVICE_UNAVAILABLE: {"model": ServerReady}}
 )
@@ -159,14 +162,14 @@ async def _infer(
     request: Request, service: State, name: str, version: str | None = None
 ) -> Response:
     predictor = _predictor(service, name, version)
-    body = await read_body(request)
-    batch = Batch(body, request.headers.get(LENGTH_HEADER), predictor, service)
     try:
-        message = await answered(
-            request,
-            timeout_s(request, service.settings),
-            partial(service.inference.submit, batch),
-        )
+        async with received(request) as body:
+            batch = Batch(body, request.headers.get(LENGTH_HEADER), predictor, service)
+            message = await answered(
+                request,
+                timeout_s(request, service.settings),
+                partial(service.inference.submit, batch),
+            )
     except ClientGoneError:
         return Response(status_code=CLIENT_CLOSED_REQUEST)
     if message.json_length is None:
@@ -181,7 +184,7 @@ class Batch:
     _query: Query
 
     def __init__(
-        self, body: bytes, length: str | None, predictor: Predictor, service: State
+        self, body: Body, length: str | None, predictor: Predictor, service: State
     ) -> None:
         self._body = body
         self._length = length
@@ -194,9 +197,11 @@ class Batch:
         """Parse the body."""
         self._stages.next()
         text, binary = split(self._body, self._length)
-        request = parse_json(text, InferRequest)
-        most = self._service.settings.max_batch
-        self._query = read_query(request, binary, self._predictor.manifest, most)
+        most, manifest = self._service.settings.max_batch, self._predictor.manifest
+        numbers = most * prod(manifest.frames_shape)
+        # Nested as the shape says, lists of three numbers among them, it has half as many lists.
+        request = parse_json(text, InferRequest, MAX_VALUES + numbers + numbers // 2)
+        self._query = read_query(request, binary, manifest, most)
         self._stages.next()
         return DecodedRequest(self._predictor, self._query.frames, self._query.horizon)
 

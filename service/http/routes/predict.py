@@ -2,7 +2,6 @@
 
 from collections.abc import AsyncGenerator, Callable
 from concurrent.futures import Future
-from functools import partial
 
 from fastapi import APIRouter, Request, Response
 from fastapi.sse import EventSourceResponse, format_sse_event
@@ -10,9 +9,17 @@ from fastapi.sse import EventSourceResponse, format_sse_event
 from rollcast.schemas import PredictRequest, PredictResponse, StreamDone, StreamStep
 from service.errors import ServiceError
 from service.http.openapi import body_of, problems_of
-from service.http.prediction import StreamedForecast, WholeForecast
+from service.http.prediction import Parser, StreamedForecast, WholeForecast
 from service.http.problem_details import document
-from service.http.request_body import JSON, MULTIPART, media_type, parse_json, read_body, read_form
+from service.http.request_body import (
+    JSON,
+    MULTIPART,
+    Body,
+    media_type,
+    parse_form,
+    parse_json,
+    received,
+)
 from service.inference.deadlines import (
     CLIENT_CLOSED_REQUEST,
     CancellationToken,
@@ -27,6 +34,8 @@ router = APIRouter(tags=["forecast"])
 
 PROBLEMS = problems_of(400, 401, 403, 404, 408, 413, 415, 422, 429, 503, 504)
 EVENTS = "text/event-stream"
+FILES = frozenset({"frames", "final_frame"})
+LISTS = frozenset({"frames"})
 
 
 @router.post(
@@ -38,15 +47,16 @@ EVENTS = "text/event-stream"
 async def predict(request: Request, service: ServiceState) -> Response:
     """Forecast where the balls of four frames go, with angular velocities and covariances."""
     service.require_serving()
-    parse = await _body(request)
+
+    def submit(token: CancellationToken) -> Future[str]:
+        forecast = WholeForecast(parse, token, service.registry, service.metrics)
+        return service.inference.submit(forecast, token)
+
+    kind = media_type(request, (JSON, MULTIPART))
     try:
-        content = await answered(
-            request,
-            timeout_s(request, service.settings),
-            partial(
-                service.inference.submit, WholeForecast(parse, service.registry, service.metrics)
-            ),
-        )
+        async with received(request) as body:
+            parse = _parser(kind, body, request)
+            content = await answered(request, timeout_s(request, service.settings), submit)
     except ClientGoneError:
         return Response(status_code=CLIENT_CLOSED_REQUEST)
     return Response(content, media_type=JSON)
@@ -68,26 +78,30 @@ async def predict(request: Request, service: ServiceState) -> Response:
 async def predict_stream(request: Request, service: ServiceState) -> Response:
     """Forecast as /predict does, and send every step as soon as it is there."""
     service.require_serving()
-    parse = await _body(request)
 
     def submit(
         token: CancellationToken, emit: Callable[[StreamStep | StreamDone], object]
     ) -> Future[None]:
-        forecast = StreamedForecast(parse, service.registry, service.metrics, emit)
+        forecast = StreamedForecast(parse, token, service.registry, service.metrics, emit)
         return service.inference.submit(forecast, token)
 
-    events = streamed(request, timeout_s(request, service.settings), submit)
-    # What is refused before the first step is refused as by /predict.
-    first = await anext(events, None)
+    kind = media_type(request, (JSON, MULTIPART))
+    async with received(request) as body:
+        parse = _parser(kind, body, request)
+        events = streamed(request, timeout_s(request, service.settings), submit)
+        # What is refused before the first step is refused as by /predict.
+        first = await anext(events, None)
     return EventSourceResponse(_lines(first, events))
 
 
-async def _body(request: Request) -> Callable[[], PredictRequest]:
-    """Read the body; parsing JSON is left to a worker."""
-    if media_type(request, (JSON, MULTIPART)) == JSON:
-        return partial(parse_json, await read_body(request), PredictRequest)
-    form = await read_form(request, PredictRequest, lists=frozenset({"frames"}))
-    return lambda: form
+def _parser(kind: str, body: Body, request: Request) -> Parser:
+    """Return what parses the body, in a worker."""
+    if kind == JSON:
+        return lambda _: parse_json(body, PredictRequest)
+    content_type = request.headers["content-type"]
+    return lambda check: parse_form(
+        body, content_type, PredictRequest, files=FILES, lists=LISTS, check=check
+    )
 
 
 async def _lines(

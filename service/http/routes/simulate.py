@@ -3,6 +3,7 @@
 from concurrent.futures.process import BrokenProcessPool
 
 from fastapi import APIRouter, Request, Response
+from fastapi.concurrency import run_in_threadpool
 
 from rollcast.errors import SceneParametersError, SceneRejectedError
 from rollcast.schemas import SimulateRequest, SimulateResponse
@@ -14,9 +15,13 @@ from service.errors import (
 )
 from service.http.openapi import body_of, problems_of
 from service.http.problem_details import in_plain_words
-from service.http.request_body import JSON, media_type, parse_json, read_body
+from service.http.request_body import JSON, media_type, parse_json, received
+from service.inference.deadlines import CLIENT_CLOSED_REQUEST, ClientGoneError, answered
 from service.simulation.pool import is_installed, simulate
 from service.state import ServiceState
+
+MAX_BODY_BYTES = 64 * 1024
+"""Bytes of a request; a whole scene that is posted back has a few thousand."""
 
 NOT_INSTALLED = (
     "Simulations require PyBullet, which is not installed in the service's environment. Install "
@@ -41,10 +46,15 @@ async def simulate_scene(request: Request, service: ServiceState) -> Response:
     if not is_installed():
         raise SimulationMissingError(NOT_INSTALLED)
     media_type(request, (JSON,))
-    body = parse_json(await read_body(request), SimulateRequest)
+    async with received(request, MAX_BODY_BYTES) as text:
+        body = await run_in_threadpool(parse_json, text, SimulateRequest)
     _check_pixels(body, service.settings.max_simulated_pixels)
     try:
-        content = await service.simulation.run(simulate, body)
+        content = await answered(
+            request, None, lambda token: service.simulation.submit(token, simulate, body)
+        )
+    except ClientGoneError:
+        return Response(status_code=CLIENT_CLOSED_REQUEST)
     except SceneParametersError as error:
         expected = in_plain_words(error.expected)
         raise InvalidValueError.at(error.field, error.value, expected) from error
