@@ -14,6 +14,7 @@ from service.auth.rate_limit import RateLimiter
 from service.http.authorization import check_access
 from service.http.openapi import install_openapi
 from service.http.problem_details import install_problem_handlers
+from service.http.root_path import RootPath
 from service.http.routes import (
     health,
     home,
@@ -98,7 +99,6 @@ def create_app(
         description="Forecasts where rolling balls go from four video frames.",
         lifespan=lifespan,
         redoc_url=None,
-        root_path=settings.root_path,
         dependencies=[Depends(check_access)],
         # Figures and logs have homes of their own.
         telemetry={
@@ -113,6 +113,8 @@ def create_app(
     install_openapi(app)
     install_access_log(app, settings.replica, figures.request)
     install_headers(app, settings.allowed_origins)
+    if settings.root_path:
+        app.add_middleware(RootPath, prefix=settings.root_path)
     if settings.trusted_proxies:
         trusted = [str(network) for network in settings.trusted_proxies]
         app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=trusted)

@@ -77,7 +77,7 @@ def test_the_file_holds_no_token_and_is_its_owners(keys):
 def test_a_file_that_is_none_is_refused(tmp_path, text, start):
     path = tmp_path / "keys.json"
     path.write_text(text)
-    with pytest.raises(ValidationError):
+    with pytest.raises(ValueError, match=r"the file|keys"):
         KeyFile.read(path)
     with pytest.raises(ValidationError, match="is no file of keys"):
         start(keys_file=path)

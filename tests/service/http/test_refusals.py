@@ -1,6 +1,7 @@
 """Every bad request gets its own problem document, quickly, and the next request works."""
 
 import gc
+import gzip
 import json
 import time
 
@@ -39,14 +40,35 @@ PREDICT = {
     "empty": (raw(""), 400, MALFORMED, None),
     "not UTF-8": (raw(b'{"model": "\xff"}'), 400, MALFORMED, None),
     "nested deeply": (raw("[" * 100_000), 400, MALFORMED, None),
-    "NaN": (with_text("frame_rate", "NaN"), 400, MALFORMED, "body"),
-    "infinity": (with_text("frame_rate", "-Infinity"), 400, MALFORMED, "body"),
+    "NaN": (with_text("frame_rate", "NaN"), 400, MALFORMED, None),
+    "infinity": (with_text("frame_rate", "-Infinity"), 400, MALFORMED, None),
     "1e400": (with_text("frame_rate", "1e400"), 422, INVALID, "frame_rate"),
     "1e400 steps": (with_text("horizon", "1e400"), 422, INVALID, "horizon"),
     "five thousand digits": (with_text("horizon", "1" * 5000), 400, MALFORMED, None),
-    "lone surrogate in a value": (with_text("model", r'"a\ud800"'), 400, MALFORMED, "body"),
-    "lone surrogate in a name": (with_text(r"\udfff", "1"), 400, MALFORMED, "body"),
-    "a name twice": (raw('{"model": "a", "model": "b"}'), 400, MALFORMED, "body"),
+    "lone surrogate in a value": (with_text("model", r'"a\ud800"'), 400, MALFORMED, None),
+    "lone surrogate in a name": (with_text(r"\udfff", "1"), 400, MALFORMED, None),
+    "frames as numbers": (raw('{"frames": ' + "[[7, 7, 7], " * 999 + "]"), 400, MALFORMED, None),
+    "twenty thousand names": (
+        raw("{" + ", ".join(f'"n{index % 19_999}": 1' for index in range(20_000)) + "}"),
+        400,
+        MALFORMED,
+        None,
+    ),
+    "nine hundred unknown fields": (
+        with_fields(**{f"{index:03d}{'x' * 1000}": "y" * 500 for index in range(900)}),
+        422,
+        INVALID,
+        "000" + "x" * 97 + "... (903 more characters)",
+    ),
+    "compressed": (
+        {
+            "content": gzip.compress(json.dumps(body()).encode()),
+            "headers": {"content-type": "application/json", "content-encoding": "gzip"},
+        },
+        415,
+        "unsupported-media-type",
+        "content-encoding",
+    ),
     "a list": (raw("[]"), 422, INVALID, "body"),
     "unknown field": (with_fields(colour="red"), 422, INVALID, "colour"),
     "unknown model": (with_fields(model="nope"), 404, "unknown-model", "model"),
@@ -105,6 +127,30 @@ PREDICT = {
     ),
     "unknown part": ({"files": parts(GOOD), "data": {"colour": "red"}}, 422, INVALID, "colour"),
     "three parts": ({"files": parts(GOOD[:3])}, 422, INVALID, "frames"),
+    "a part with brackets": (
+        {"files": [("frames[]", ("a.png", GOOD[0]))]},
+        422,
+        INVALID,
+        "frames[]",
+    ),
+    "a form without its last boundary": (
+        {
+            "content": b'--b\r\nContent-Disposition: form-data; name="model"\r\n\r\ndot\r\n',
+            "headers": {"content-type": "multipart/form-data; boundary=b"},
+        },
+        400,
+        MALFORMED,
+        None,
+    ),
+    "a part without a name": (
+        {
+            "content": b"--b\r\nContent-Disposition: form-data\r\n\r\ndot\r\n--b--\r\n",
+            "headers": {"content-type": "multipart/form-data; boundary=b"},
+        },
+        400,
+        MALFORMED,
+        None,
+    ),
     "a part twice": (
         {"files": parts(GOOD), "data": {"horizon": ["1", "2"]}},
         422,
@@ -122,7 +168,7 @@ PREDICT = {
         {"files": parts(GOOD), "data": {"model": "x" * 5000}},
         400,
         MALFORMED,
-        None,
+        "model",
     ),
 }
 
@@ -164,6 +210,38 @@ def test_the_problem_document_names_field_value_and_what_would_be_right(client):
         "value": 1001,
         "expected": "less than or equal to 1000",
     }
+
+
+def test_an_answer_names_ten_mistakes_and_counts_the_others(client):
+    problem = client.post("/predict", json={f"n{index}": 1 for index in range(50)}).json()
+    assert len(problem["errors"]) == 10
+    assert problem["detail"].startswith("51 values are not acceptable: frames, n0, n1")
+    assert problem["detail"].endswith("n8 and 41 more")
+
+
+@pytest.mark.parametrize("horizon", [3, 3.0])
+def test_whole_numbers_may_have_a_point_in_json_as_in_forms(client, horizon):
+    for request in (
+        {"json": body(GOOD, horizon=horizon)},
+        {"files": parts(GOOD), "data": {"horizon": str(horizon)}},
+    ):
+        answer = client.post("/predict", **request)
+        assert answer.status_code == 200, answer.json()
+        assert len(answer.json()["times_s"]) == 3
+
+
+def test_files_of_a_form_need_no_file_name(client):
+    head = b'--b\r\nContent-Disposition: form-data; name="frames"\r\n\r\n'
+    form = b"".join(head + image + b"\r\n" for image in GOOD) + b"--b--\r\n"
+    answer = client.post(
+        "/predict", content=form, headers={"content-type": "multipart/form-data; boundary=b"}
+    )
+    assert answer.status_code == 200, answer.json()
+
+
+def test_bracketed_parts_are_told_the_name(client):
+    problem = client.post("/predict", files=[("frames[]", ("a.png", GOOD[0]))]).json()
+    assert problem["expected"] == "the name 'frames', once for each file"
 
 
 def test_the_bomb_is_told_by_its_size(client):

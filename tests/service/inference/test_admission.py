@@ -5,7 +5,7 @@ import resource
 import signal
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from prometheus_client import Gauge
 
 from service.errors import DeadlineExceededError, QueueFullError
 from service.inference.admission import Workers
+from service.inference.deadlines import CancellationToken
 from service.simulation.pool import RecycledProcess
 from tests.service import samples
 from tests.service.samples import body
@@ -21,22 +22,43 @@ from tests.service.samples import body
 
 @pytest.fixture
 def workers():
-    workers = Workers(ThreadPoolExecutor(1), 2, Gauge("held", "Calls", registry=None))
+    workers = Workers(Threads(), 2, Gauge("held", "Calls", registry=None))
     yield workers
     workers.close()
+
+
+class Threads(ThreadPoolExecutor):
+    """One thread, whose calls go on when they are abandoned."""
+
+    def __init__(self) -> None:
+        super().__init__(1)
+
+    def submit(self, abandoned, call, /, *args):
+        return super().submit(call, *args)
+
+    def close(self) -> None:
+        self.shutdown(cancel_futures=True)
+
+
+async def run(workers, call, *args):
+    return await asyncio.wrap_future(workers.submit(CancellationToken(), call, *args))
+
+
+def submit(process, call, *args, abandoned=None):
+    return process.submit(abandoned or Future(), call, *args)
 
 
 def test_a_full_queue_refuses_at_once_and_recovers(workers):
     gate = threading.Event()
 
     async def scenario():
-        waiting = [asyncio.create_task(workers.run(gate.wait, 30)) for _ in range(2)]
+        waiting = [asyncio.create_task(run(workers, gate.wait, 30)) for _ in range(2)]
         await asyncio.sleep(0)
         with pytest.raises(QueueFullError):
-            await workers.run(gate.wait, 30)
+            await run(workers, gate.wait, 30)
         gate.set()
         assert await asyncio.gather(*waiting) == [True, True]
-        assert await workers.run(max, 1, 2) == 2
+        assert await run(workers, max, 1, 2) == 2
 
     asyncio.run(scenario())
 
@@ -45,16 +67,16 @@ def test_a_call_that_is_cancelled_before_its_turn_never_runs(workers):
     gate, ran = threading.Event(), threading.Event()
 
     async def scenario():
-        running = asyncio.create_task(workers.run(gate.wait, 30))
+        running = asyncio.create_task(run(workers, gate.wait, 30))
         await asyncio.sleep(0)
-        waiting = asyncio.create_task(workers.run(ran.set))
+        waiting = asyncio.create_task(run(workers, ran.set))
         await asyncio.sleep(0)
         waiting.cancel()
         with pytest.raises(asyncio.CancelledError):
             await waiting
         gate.set()
         await running
-        await workers.run(max, 1, 2)
+        await run(workers, max, 1, 2)
 
     asyncio.run(scenario())
     assert not ran.is_set()
@@ -99,11 +121,11 @@ def test_a_full_queue_is_429_with_retry_after(start):
 def process():
     process = RecycledProcess(recycle_after=3, timeout_s=30)
     yield process
-    process.shutdown()
+    process.close()
 
 
 def test_the_process_is_replaced_after_its_calls(process):
-    pids = [process.submit(os.getpid).result() for _ in range(7)]
+    pids = [submit(process, os.getpid).result() for _ in range(7)]
     assert pids[0] == pids[1] == pids[2]
     assert pids[3] == pids[4] == pids[5]
     assert len(set(pids)) == 3
@@ -112,12 +134,12 @@ def test_the_process_is_replaced_after_its_calls(process):
 
 def test_a_process_that_dies_is_replaced(process):
     with pytest.raises(BrokenProcessPool):
-        process.submit(os._exit, 1).result()
-    assert process.submit(max, 1, 2).result() == 2
+        submit(process, os._exit, 1).result()
+    assert submit(process, max, 1, 2).result() == 2
 
 
 def test_a_process_that_dies_takes_no_call_that_waits(process):
-    lost, waiting = process.submit(os._exit, 1), process.submit(max, 1, 2)
+    lost, waiting = submit(process, os._exit, 1), submit(process, max, 1, 2)
     with pytest.raises(BrokenProcessPool):
         lost.result()
     assert waiting.result() == 2
@@ -130,23 +152,46 @@ def stop_itself() -> None:
 
 def test_a_process_that_is_stuck_is_killed_and_the_next_call_answered():
     process = RecycledProcess(recycle_after=10, timeout_s=5)  # the next one's start is in it, too
-    pid = process.submit(os.getpid).result()
-    stuck, waiting = process.submit(stop_itself), process.submit(max, 1, 2)
+    pid = submit(process, os.getpid).result()
+    stuck, waiting = submit(process, stop_itself), submit(process, max, 1, 2)
     with pytest.raises(DeadlineExceededError, match="had not ended after 5 s"):
         stuck.result()
     assert waiting.result() == 2
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
-    process.shutdown()
+    process.close()
+
+
+def test_a_call_that_is_abandoned_ends_with_its_process(process):
+    pid = submit(process, os.getpid).result()
+    abandoned: Future[None] = Future()
+    left, waiting = (
+        submit(process, time.sleep, 600, abandoned=abandoned),
+        submit(process, max, 1, 2),
+    )
+    time.sleep(0.2)
+    abandoned.set_result(None)
+    assert isinstance(left.exception(timeout=30), CancelledError)
+    assert waiting.result() == 2
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_a_call_that_is_abandoned_and_nearly_done_keeps_its_process(process):
+    pid = submit(process, os.getpid).result()
+    abandoned: Future[None] = Future()
+    abandoned.set_result(None)
+    submit(process, max, 1, 2, abandoned=abandoned).result()
+    assert submit(process, os.getpid).result() == pid
 
 
 def test_a_stuck_call_does_not_keep_the_executor():
     process = RecycledProcess(recycle_after=10, timeout_s=600)
-    pid = process.submit(os.getpid).result()
-    stuck = process.submit(stop_itself)
+    pid = submit(process, os.getpid).result()
+    stuck = submit(process, stop_itself)
     while "T" not in Path(f"/proc/{pid}/stat").read_text().split()[2]:
         time.sleep(0.01)
-    process.shutdown(cancel_futures=True)
+    process.close()
     assert isinstance(stuck.exception(), BrokenProcessPool)
 
 
@@ -168,10 +213,10 @@ def test_a_process_that_cannot_be_started_is_told_and_started_later(process):
     try:
         for _ in range(2):
             with pytest.raises(BrokenProcessPool):
-                process.submit(max, 1, 2).result()
+                submit(process, max, 1, 2).result()
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
-    assert process.submit(max, 1, 2).result() == 2
+    assert submit(process, max, 1, 2).result() == 2
 
 
 def test_no_memory_left_is_503(start):

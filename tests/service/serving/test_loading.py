@@ -1,6 +1,10 @@
 """What a folder of artefacts becomes; the graphs themselves are tried in tests/contract."""
 
 import hashlib
+import os
+import shutil
+import socket
+import time
 from pathlib import Path
 
 import numpy as np
@@ -175,3 +179,49 @@ def test_processes_share_the_proofs_out_and_tell_each_other(write, tmp_path):
         told = part.refusing(refused)
         assert not told.served
         assert told.refused == refused
+
+
+def test_a_folder_that_is_not_named_by_its_number_is_refused_beside_the_version(
+    write, tmp_path, caplog
+):
+    write(version=1)
+    shutil.copytree(tmp_path / "dot/1", tmp_path / "dot/01")
+    shutil.copytree(tmp_path / "dot/1", tmp_path / "dot/007")
+    models = {model.label: model for model in load(tmp_path).models}
+    assert models.keys() == {"dot@1", "dot@7"}
+    assert models["dot@1"].predictor is not None
+    assert models["dot@7"].reason == "the folder 007 of version 7 must be named 7"
+    assert "dot/01 is refused: the folder 01 of version 1 must be named 1" in caplog.text
+
+
+def test_folders_with_endless_numbers_are_no_versions(write, tmp_path):
+    write()
+    (tmp_path / "dot" / ("1" * 200)).mkdir()
+    (tmp_path / "dot" / "²").mkdir()
+    (tmp_path / "dot" / "٣").mkdir()
+    assert [model.label for model in load(tmp_path).models] == ["dot@1"]
+
+
+@pytest.mark.parametrize("name", [MANIFEST_FILE, *HASHED_FILES])
+@pytest.mark.parametrize("kind", ["pipe", "socket", "device", "folder"])
+def test_what_is_no_regular_file_is_refused_at_once(write, tmp_path, name, kind):
+    path = write() / name
+    path.unlink()
+    match kind:
+        case "pipe":
+            os.mkfifo(path)
+        case "socket":
+            short = tmp_path / "s"  # a socket's path may have 107 bytes
+            with socket.socket(socket.AF_UNIX) as server:
+                server.bind(str(short))
+            short.rename(path)
+        case "device":
+            path.symlink_to("/dev/zero")
+        case _:
+            path.mkdir()
+    write(name="good")
+    began = time.monotonic()
+    refused, served = sorted(load(tmp_path).models, key=lambda model: model.status, reverse=True)
+    assert time.monotonic() - began < 10
+    assert served.label == "good@1"
+    assert name in refused.reason or "directory" in refused.reason
