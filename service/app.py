@@ -29,6 +29,7 @@ from service.http.security_headers import install_headers
 from service.inference.admission import Workers
 from service.inference.body_budget import BodyBudget
 from service.inference.daemon_threads import run_in_daemon_thread
+from service.inference.memory import return_freed_memory
 from service.inference.scheduler import Scheduler
 from service.observability.log_config import install_access_log
 from service.observability.metrics import Metrics
@@ -83,6 +84,7 @@ def create_app(
             siblings=siblings,
         )
         app.state.service = state
+        return_freed_memory()
         loading = asyncio.create_task(_load(state))
         yield
         state.phase = "draining"

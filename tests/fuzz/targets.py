@@ -10,6 +10,8 @@ import io
 import json
 import struct
 import tempfile
+import time
+import tracemalloc
 import warnings
 import zlib
 from collections.abc import Callable, Mapping
@@ -222,12 +224,49 @@ def with_checksums(data: bytes) -> bytes:
     return bytes(repaired)
 
 
+class Cost:
+    """What reading costs: the first byte of an input chooses the reader of the others.
+
+    Fails when time or memory go beyond a fixed part and so much for every byte. The worst so far
+    stands in ``cost.json``.
+    """
+
+    ALLOWED_S, ALLOWED_S_PER_BYTE = 0.5, 50e-6
+    ALLOWED_BYTES, ALLOWED_BYTES_PER_BYTE = 400 * 2**20, 200
+    """The fixed part is what a frame of 4096 pixels takes, whatever its file weighs."""
+
+    def __init__(self) -> None:
+        self._readers: list[Target] = [frames, multipart, tensors, manifest, App()]
+        self._worst_s = self._worst_bytes = 0.0
+        tracemalloc.start()
+
+    def __call__(self, data: bytes) -> None:
+        """Read an input and measure."""
+        if len(data) < 2:
+            return
+        index = data[0] % len(self._readers)
+        tracemalloc.reset_peak()
+        before, _ = tracemalloc.get_traced_memory()
+        began = time.process_time()
+        self._readers[index](data[1:])
+        seconds = time.process_time() - began
+        memory = tracemalloc.get_traced_memory()[1] - before
+        assert seconds < self.ALLOWED_S + self.ALLOWED_S_PER_BYTE * len(data), seconds
+        assert memory < self.ALLOWED_BYTES + self.ALLOWED_BYTES_PER_BYTE * len(data), memory
+        if seconds > self._worst_s or memory > self._worst_bytes:
+            self._worst_s = max(seconds, self._worst_s)
+            self._worst_bytes = max(memory, self._worst_bytes)
+            worst = {"seconds": round(self._worst_s, 4), "bytes": int(self._worst_bytes)}
+            (SCRATCH / "cost.json").write_text(json.dumps(worst))
+
+
 TARGETS: Mapping[str, Callable[[], Target]] = {
     "frames": lambda: frames,
     "multipart": lambda: multipart,
     "tensors": lambda: tensors,
     "manifest": lambda: manifest,
     "app": App,
+    "cost": Cost,
 }
 
 
@@ -286,6 +325,11 @@ def seeds(target: str) -> list[bytes]:
                 samples.manifest().model_dump_json().encode(),
                 samples.manifest(covariance=samples.EMPIRICAL).model_dump_json().encode(),
                 samples.manifest(frames=5, final_step=9).model_dump_json().encode(),
+            ]
+        case "cost":
+            readers = ("frames", "multipart", "tensors", "manifest", "app")
+            return [
+                bytes([index]) + seed for index, name in enumerate(readers) for seed in seeds(name)
             ]
         case _:
             predict = json.dumps(samples.body(horizon=2)).encode()

@@ -201,3 +201,38 @@ def test_no_answer_names_the_software(address):
         assert b"server:" not in answer
         assert b"uvicorn" not in answer
         assert b"python" not in answer
+
+
+CHUNKED = (
+    b"POST /predict HTTP/1.1\r\nHost: a\r\nContent-Type: application/json\r\n"
+    b"Transfer-Encoding: chunked\r\n\r\n"
+)
+
+
+@pytest.mark.parametrize("path", [b"/predict", b"/health/live", b"/nothing"])
+@pytest.mark.parametrize(
+    ("begin", "piece"),
+    [
+        (b"2\r\n{}\r\n0\r\n", b"x-a: " + b"y" * 10_000 + b"\r\n"),
+        (b"2\r\n{}\r\n0\r\nx-a: ", b"y" * 10_000),
+        (b"2;", b"y" * 10_000),
+        (b"", b"1;a=" + b"y" * 10_000 + b"\r\n \r\n"),
+    ],
+    ids=["trailers", "a long trailer", "a long extension", "extensions"],
+)
+def test_what_is_no_body_is_limited(tmp_path, path, begin, piece):
+    with served(tmp_path, receive_timeout_s=30) as address, connected(address) as client:
+        with pytest.raises(OSError):  # noqa: PT011, PT012 - reset, or a broken pipe
+            client.sendall(CHUNKED.replace(b"/predict", path) + begin)
+            for _ in range(2000):
+                client.sendall(piece)
+        assert b'"live"' in exchange(address, b"GET /health/live HTTP/1.1")
+
+
+def test_a_body_in_tiny_chunks_is_read(tmp_path):
+    content = json.dumps(body(horizon=1)).encode()
+    chunks = b"".join(b"1\r\n" + content[at : at + 1] + b"\r\n" for at in range(len(content)))
+    with served(tmp_path, receive_timeout_s=30) as address, connected(address) as client:
+        head = CHUNKED.replace(b"Host: a", b"Host: a\r\nConnection: close")
+        client.sendall(head + chunks + b"0\r\nx-trailer: some\r\n\r\n")
+        assert everything(client).startswith(b"HTTP/1.1 200")
