@@ -101,7 +101,7 @@ class PredictRequest(RequestBody):
         list[EncodedImage], Field(min_length=OBSERVED_FRAMES, max_length=OBSERVED_FRAMES)
     ]
     """The four observed frames in order, t = -3..0: base64 of square PNG, JPEG or WebP files of one
-    size, 32 to 4096 pixels a side."""
+    size, 32 to 4096 pixels a side. Transparent pixels are composed on white."""
     final_frame: EncodedImage | None = None
     """A frame of the same size that shows step ``final_step`` of the model."""
     final_step: Annotated[Integer, Field(ge=1)] | None = None

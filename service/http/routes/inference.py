@@ -44,7 +44,7 @@ PLATFORM = "onnxruntime_onnx"
 
 MODEL_ERRORS = errors_of(404, 503)
 INFER_ANSWERS = {
-    **errors_of(400, 401, 403, 404, 408, 413, 429, 503, 504),
+    **errors_of(400, 401, 403, 404, 408, 413, 415, 429, 503, 504),
     200: {
         "description": f"The outputs; with binary ones, {LENGTH_HEADER} tells the JSON's length.",
         "content": tensors_of(InferResponse, "InferResponse as JSON, then the binary outputs"),
