@@ -137,7 +137,7 @@ class Settings(BaseSettings):
     gets a new process."""
     max_simulated_pixels: Annotated[int, Field(ge=1)] = 16 * MEBI
     """Largest number of pixels, all frames together, that one simulation may draw; by default
-    enough for 1000 frames of 128 pixels. A megapixel takes about 20 MB of memory."""
+    enough for 1000 frames of 128 pixels."""
     retry_after_s: Annotated[int, Field(ge=1)] = 1
     """Seconds after which a refused client is asked to come back (the header Retry-After)."""
     drain_s: Annotated[float, Field(ge=0)] = 0

@@ -71,7 +71,8 @@ class Service:
 
 def family(pid: int) -> list[int]:
     with contextlib.suppress(OSError):
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        threads = list(Path(f"/proc/{pid}/task").iterdir())
+        children = [name for one in threads for name in (one / "children").read_text().split()]
         return [pid, *(member for child in children for member in family(int(child)))]
     return []
 
