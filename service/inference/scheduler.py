@@ -8,6 +8,7 @@ is shared. A request joins and leaves between two steps.
 
 import math
 import threading
+import time
 from collections import defaultdict, deque
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -25,6 +26,8 @@ from service.siblings import Siblings
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
 
+MAX_CLOSE_S = 5.0
+"""Seconds for which closing waits for the threads: their requests have ended or been cancelled."""
 ENCODED_TOGETHER = 4
 """Requests whose frames are encoded in one batch: more gain nothing (docs/benchmarks.md)."""
 
@@ -224,7 +227,7 @@ class Scheduler:
         self._lock = threading.Lock()
         self._resting: list[threading.Semaphore] = []
         self._threads = [
-            threading.Thread(target=self._work, name=f"forecast-{index}")
+            threading.Thread(target=self._work, name=f"forecast-{index}", daemon=True)
             for index in range(threads)
         ]
         for thread in self._threads:
@@ -255,15 +258,16 @@ class Scheduler:
         self._admission.release()
 
     def close(self) -> None:
-        """Let rollouts end, drop what waits."""
+        """Let rollouts end, drop what waits; a thread inside a long call is not waited for."""
         with self._lock:
             self._closed = True
             dropped, self._waiting = self._waiting, deque()
             self._wake(len(self._threads))
         for member in dropped:
             member.future.cancel()
+        ends = time.monotonic() + MAX_CLOSE_S
         for thread in self._threads:
-            thread.join()
+            thread.join(max(0, ends - time.monotonic()))
 
     def _wake(self, threads: int) -> None:
         """Wake threads that rest, under the lock; the last to rest first: its caches are warm."""
