@@ -133,7 +133,7 @@ async def _load(state: State) -> None:
     if state.phase == "loading":
         state.phase = "serving"
     if state.changes is not None:
-        await model_reload.follow(state)
+        await model_reload.follow(state, state.changes)
 
 
 async def _other_workers_accept(state: State, loading: asyncio.Task[None]) -> None:

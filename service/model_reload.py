@@ -3,14 +3,14 @@
 import asyncio
 import logging
 
-from service.errors import InvalidValueError, ServiceError, UnknownModelError
+from service.errors import InvalidValueError, NotReadyError, ServiceError, UnknownModelError
 from service.serving.loading import model_names
-from service.serving.model_changes import Action
+from service.serving.model_changes import Action, ModelChanges
 from service.serving.registry import Model
 from service.state import State
 
 POLL_S = 0.25
-"""Interval at which a worker looks for changes that other workers have recorded."""
+"""Interval at which a worker looks for changes by other workers."""
 
 log = logging.getLogger(__name__)
 
@@ -29,21 +29,33 @@ async def change(state: State, action: Action, name: str) -> None:
     """
     await _require_known(state, action, name)
     async with state.changing:
-        if state.changes is None:
-            await _apply(state, action, name)
-        else:
-            await _apply_newer(state, await state.changes.record(action, name))
+        if state.changes is not None:
+            try:
+                state.changes.record(action, name)
+            except OSError as error:
+                reason = f"it cannot be shared with other processes: {error.strerror}"
+                raise NotReadyError(f"The model is not changed, {reason}.") from error
+        await _apply(state, action, name)
 
 
-async def follow(state: State) -> None:
-    """Apply the changes of other processes until cancelled."""
+async def follow(state: State, changes: ModelChanges) -> None:
+    """Apply what other processes change until cancelled."""
     while True:
         await asyncio.sleep(POLL_S)
         async with state.changing:
             try:
-                await _apply_newer(state)
-            except Exception:  # a later change may well succeed
-                log.exception("a change of a model could not be applied")
+                for action, name in changes.newer():
+                    await _apply_others(state, action, name)
+            except OSError:
+                log.exception("changes of models by other processes can no longer be read")
+                return
+
+
+async def _apply_others(state: State, action: Action, name: str) -> None:
+    try:
+        await _apply(state, action, name)
+    except ServiceError as error:  # the process that was asked has answered it
+        log.warning("%s of %s: %s", action, name, error.detail)
 
 
 async def _require_known(state: State, action: Action, name: str) -> None:
@@ -52,24 +64,6 @@ async def _require_known(state: State, action: Action, name: str) -> None:
     known = await asyncio.to_thread(model_names, state.settings.models_dir)
     if action == "unload" or name not in known:
         raise UnknownModelError.at("model", name, "the name of a folder of models")
-
-
-async def _apply_newer(state: State, own: int | None = None) -> None:
-    """Apply what has been recorded since; raise what a request's own change raises."""
-    assert state.changes is not None
-    failure: ServiceError | None = None
-    for recorded in state.changes.newer():
-        try:
-            await _apply(state, recorded.action, recorded.name)
-        except ServiceError as error:
-            if recorded.generation == own:
-                failure = error
-            else:
-                log.warning("%s of %s: %s", recorded.action, recorded.name, error.detail)
-        finally:
-            state.changes.mark_applied(recorded)
-    if failure is not None:
-        raise failure
 
 
 async def _apply(state: State, action: Action, name: str) -> None:

@@ -14,7 +14,7 @@ from prometheus_client import values
 FILE_KINDS = ("counter", "gauge_livemostrecent", "gauge_livesum", "histogram", "summary")
 """First parts of the names of a process's files: one for each kind of metric that there is."""
 FILE_BYTES = 2**20
-"""Size of each file, several times what all metrics of all committed models take."""
+"""Size of each file: some 7,000 values, more than the labels of the committed models make."""
 
 
 def reserve_metrics(folder: Path, name: str, kinds: Iterable[str] = FILE_KINDS) -> None:

@@ -9,6 +9,7 @@ all in a bounded time. Workers share no messages: models that are loaded or unlo
 import logging
 import multiprocessing
 import os
+import shutil
 import signal
 import socket
 import threading
@@ -76,7 +77,7 @@ class Worker(Process):
     def target(self, sockets: list[socket.socket] | None = None) -> None:
         """Serve until told to stop; runs in the worker."""
         os.setpgrp()  # Ctrl-C goes to the supervisor alone, which tells each worker once
-        threading.Thread(target=_end_with_supervisor, daemon=True).start()
+        threading.Thread(target=self._end_with_supervisor, daemon=True).start()
         write_metrics_as(self.name)
         changes = ModelChanges(self._folder)  # before models are loaded, which may change meanwhile
         # Imported here because the supervisor needs neither ONNX Runtime nor the app.
@@ -106,6 +107,14 @@ class Worker(Process):
                 self.parent_conn.send(b"ping")
         return now - self._pinged_at <= self._timeout_s
 
+    def _end_with_supervisor(self) -> None:
+        """Stop this worker when its supervisor is gone, which then has not removed the folder."""
+        supervisor = multiprocessing.parent_process()
+        assert supervisor is not None
+        wait([supervisor.sentinel])
+        shutil.rmtree(self._folder, ignore_errors=True)
+        os.kill(os.getpid(), signal.SIGTERM)
+
 
 class Supervisor(Multiprocess):
     """Keeps a number of workers running until SIGTERM or SIGINT.
@@ -127,8 +136,8 @@ class Supervisor(Multiprocess):
             log_config=configuration(settings.log_format, settings.log_requests),
         )
         super().__init__(config, [listener])
-        for number in SIGNALS.keys() - set(STOP_SIGNALS):  # their uvicorn handlers start its own
-            signal.signal(number, signal.SIG_DFL)  # class of workers
+        for number in SIGNALS.keys() - set(STOP_SIGNALS):
+            signal.signal(number, signal.SIG_DFL)  # uvicorn would start workers of its own class
         self.exit_code = 0
         self._settings = settings
         self._listener = listener
@@ -166,7 +175,11 @@ class Supervisor(Multiprocess):
                 self.exit_code = abs(worker.exitcode or 1)
                 self.should_exit.set()
                 return
-            self._workers[index] = self._started(worker.name)
+            try:
+                self._workers[index] = self._started(worker.name)
+            except OSError:  # no memory or descriptors; the next check tries again
+                log.exception("worker %s %s and cannot be replaced yet", worker.pid, what)
+                continue
             log.error("worker %s %s; replaced by %s", worker.pid, what, self._workers[index].pid)
             self._restarts.labels("unresponsive" if alive else "exited").inc()
 
@@ -237,18 +250,10 @@ def _reserved_folder(place: Path, workers: list[str]) -> TemporaryDirectory[str]
         reserve_metrics(metrics, supervisor, ["counter"])
         for worker in workers:
             reserve_metrics(metrics, worker)
-        ModelChanges.prepare(Path(folder.name))
+        ModelChanges(Path(folder.name))
     except OSError:
         folder.cleanup()
         raise
     share_metrics(folder.name)
     write_metrics_as(supervisor)
     return folder
-
-
-def _end_with_supervisor() -> None:
-    """Stop this worker when its supervisor is gone."""
-    supervisor = multiprocessing.parent_process()
-    assert supervisor is not None
-    wait([supervisor.sentinel])
-    os.kill(os.getpid(), signal.SIGTERM)

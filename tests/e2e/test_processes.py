@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from pathlib import Path
 
 import httpx2
 import numpy as np
@@ -111,5 +112,6 @@ def test_no_worker_outlives_its_supervisor():
         workers = service.workers()
         service.process.send_signal(signal.SIGKILL)
         service.popen.communicate(timeout=60)
-        psutil.wait_procs(workers, 60)
-        assert not [process for process in workers if process.is_running()]
+        _, left = psutil.wait_procs(workers, 60)
+        assert not left
+        assert not list(Path("/dev/shm").glob(f"rollcast-*/counter_{service.popen.pid}.db"))

@@ -121,7 +121,7 @@ def test_requests_with_long_names_cost_a_short_answer(processes):
         assert "aaaaa" not in service.metrics()
         assert max(map(len, service.log().splitlines())) < 5000
         if processes > 1:
-            assert service.recorded_changes() == "[]"
+            assert service.recorded_changes() == {}
 
 
 @pytest.mark.parametrize("processes", [1, 2])
@@ -165,9 +165,11 @@ def test_a_full_disk_ends_no_process(processes):
             if processes > 1:
                 assert (changed.status_code, changed.json()) == (
                     503,
-                    {"error": "The change cannot be shared by all processes: "
-                     "No space left on device."},
-                )  # fmt: skip
+                    {
+                        "error": "The model is not changed, it cannot be shared with other "
+                        "processes: No space left on device."
+                    },
+                )
             else:
                 assert changed.status_code == 200
             assert change(client, "load") == (503 if processes > 1 else 200)

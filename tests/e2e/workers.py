@@ -100,10 +100,10 @@ class Service:
         found = re.findall(rf"^{pattern} (\S+)", self.metrics(), re.MULTILINE)
         return [float(value) for value in found]
 
-    def recorded_changes(self) -> str:
-        """The file of model changes that the workers follow."""
+    def recorded_changes(self) -> dict[str, str]:
+        """The last changes of models that the workers follow."""
         (path,) = Path("/dev/shm").glob(f"rollcast-*/counter_{self.popen.pid}.db")
-        return (path.parent / "model-changes.json").read_text("utf-8")
+        return {one.name: one.read_text("utf-8") for one in (path.parent / "changes").iterdir()}
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 90) -> None:
