@@ -49,8 +49,12 @@ class Server(uvicorn.Server):
         self._told_at: float | None = None
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to accept connections, and tell so."""
-        await super().startup(sockets)
+        """Begin to accept connections, and tell so; a process that cannot start ends."""
+        try:
+            await super().startup(sockets)
+        except SystemExit:  # would wait for threads that the app has started
+            faulthandler.dump_traceback_later(SHUTDOWN_MARGIN_S, exit=True)
+            raise
         self._on_start()
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:

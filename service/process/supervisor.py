@@ -30,8 +30,8 @@ from service.settings import SHUTDOWN_MARGIN_S, Settings, metrics_folder, share_
 
 RESPONSE_TIMEOUT_S = 10.0
 """Time after which a worker that does not answer a ping is replaced."""
-START_TIMEOUT_S = 60.0
-"""The same for the first ping, which a worker answers once its imports are done."""
+START_TIMEOUT_S = 120.0
+"""Time after which a worker that has not begun to accept connections is replaced."""
 KILL_TIMEOUT_S = 1.0
 """Time for a killed process to disappear; one in uninterruptible sleep is left behind."""
 POLL_S = 0.05
@@ -72,7 +72,7 @@ class Worker(Process):
         self._settings = settings
         self._folder = folder
         self._pinged_at: float | None = None
-        self._timeout_s = START_TIMEOUT_S
+        self._created_at = time.monotonic()
 
     def target(self, sockets: list[socket.socket] | None = None) -> None:
         """Serve until told to stop; runs in the worker."""
@@ -96,16 +96,18 @@ class Worker(Process):
         with suppress(OSError, EOFError):
             while self.parent_conn.poll():
                 self.has_started = self.parent_conn.recv() or self.has_started
-                self._pinged_at, self._timeout_s = None, RESPONSE_TIMEOUT_S
+                self._pinged_at = None
 
     def is_responsive(self) -> bool:
         """Whether the worker has answered its last ping, or still has time to; does not wait."""
         now = time.monotonic()
+        if not self.has_started:
+            return now - self._created_at <= START_TIMEOUT_S
         if self._pinged_at is None:
             self._pinged_at = now
             with suppress(OSError):
                 self.parent_conn.send(b"ping")
-        return now - self._pinged_at <= self._timeout_s
+        return now - self._pinged_at <= RESPONSE_TIMEOUT_S
 
     def _end_with_supervisor(self) -> None:
         """Stop this worker when its supervisor is gone, which then has not removed the folder."""

@@ -139,8 +139,8 @@ class RecycledProcess(ThreadPoolExecutor):
         super().__init__(1, "simulation")
         self._recycle_after = recycle_after
         self._timeout_s = timeout_s
-        self._calls = 0
-        self._process = _new_process()
+        self._calls = recycle_after  # the first call begins with a new process
+        self._process: ProcessPoolExecutor | None = None
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Hand a call to the process; arguments, result and exceptions are pickled.
@@ -153,7 +153,8 @@ class RecycledProcess(ThreadPoolExecutor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End; whoever has not waited for a running call by now does not wait for it."""
         super().shutdown(wait=False, cancel_futures=cancel_futures)
-        _kill(self._process)
+        if self._process is not None:
+            _kill(self._process)
         super().shutdown(wait)
 
     def _call(self, fn: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
@@ -171,19 +172,22 @@ class RecycledProcess(ThreadPoolExecutor):
         return future.result()
 
     def _handed_over(self, fn: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        if self._calls == self._recycle_after:
-            self._replace()
+        process = self._process
+        if process is None or self._calls == self._recycle_after:
+            process = self._replace()
         self._calls += 1
         try:
-            return self._process.submit(fn, *args, **kwargs)
+            return process.submit(fn, *args, **kwargs)
         except BrokenProcessPool:
-            self._replace()
-            return self._process.submit(fn, *args, **kwargs)
+            return self._replace().submit(fn, *args, **kwargs)
 
-    def _replace(self) -> None:
+    def _replace(self) -> ProcessPoolExecutor:
+        # Its semaphores need room in shared memory: without it, calls fail and not the service.
         before, self._process = self._process, _new_process()
-        _kill(before)
+        if before is not None:
+            _kill(before)
         self._calls = 0
+        return self._process
 
 
 def _kill(pool: ProcessPoolExecutor) -> None:

@@ -191,6 +191,17 @@ def test_a_replaced_worker_needs_no_room_on_a_full_disk():
         assert predict(service).status_code == 200
 
 
+def test_one_process_serves_without_shared_memory():
+    with (
+        Service(1, prefix=own_disks("4k", "4k")) as service,
+        httpx2.Client(base_url=service.address, timeout=60) as client,
+    ):
+        assert predict(service).status_code == 200
+        lost = client.post("/simulate", json=SIMULATION)
+        assert (lost.status_code, lost.json()["type"]) == (503, "/problems/simulation-lost")
+        assert predict(service).status_code == 200
+
+
 def test_shared_files_go_where_there_is_room():
     with Service(2, prefix=own_disks("64k", "16m")) as service:
         assert predict(service).status_code == 200

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from service.auth.api_keys import KeyFile
+
 ROOT = Path(__file__).parents[3]
 PROGRAM = """
 import asyncio, socket, sys, threading
@@ -57,3 +59,22 @@ def test_a_computation_without_end_does_not_delay_a_stop(tmp_path, where, order)
             assert process.wait(30) in {1, -order}
         finally:
             process.kill()
+
+
+def test_a_process_whose_app_cannot_start_ends(tmp_path):
+    """The app has started threads before it misses its file of keys."""
+    keys = tmp_path / "keys.json"
+    KeyFile().write(keys)
+    program = PROGRAM.replace(
+        "stop_timeout_s=1)", "keys_file=sys.argv[3])\n    settings.keys_file.unlink()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path), "nothing", str(keys)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode in {1, 3}
+    assert "keys.json" in done.stderr
