@@ -20,9 +20,8 @@ from service.auth.api_keys import KeyFile
 PREFIX = "ROLLCAST_"
 FILE_VARIABLE = "ROLLCAST_SETTINGS_FILE"
 """Names a TOML file of settings; variables of the environment go before it."""
-OTHER_VARIABLES = frozenset({FILE_VARIABLE, "ROLLCAST_RUNS", "ROLLCAST_API_KEY"})
-"""The file's own, and those that the training and the command `rollcast` read: they may stand in
-the same environment."""
+OTHER_VARIABLES = frozenset({FILE_VARIABLE, "ROLLCAST_RUNS", "ROLLCAST_API_KEY", "ROLLCAST_URL"})
+"""Variables of this file, of the training and of the client, all in the same environment."""
 
 TRACE_RECEIVERS = {"OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT"}
 """Variables of OpenTelemetry that say where traces go."""

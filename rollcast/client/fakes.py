@@ -42,8 +42,6 @@ BELOW = np.array([0.0, 0.2])
 VELOCITY = np.array([0.01, 0.004])
 """Of the first ball at index 0, from each ball to the next and a step: shares of the frame."""
 RADIUS = 0.05
-FOURTH_COLOR = "#f0e442"
-"""Of a fourth ball, which only footage has."""
 SURFACE_POINTS = 9
 TURNING_RAD_S = (0.0, 1.0, 0.0)
 
@@ -117,7 +115,7 @@ def forecast(
         objects=[
             ForecastObject(
                 id=ball,
-                color=(*COLORS, FOURTH_COLOR)[ball],
+                color=COLORS[ball],
                 positions=path[:horizon].tolist(),
                 covariances=[covariance] * horizon,
                 covariance_source="predicted",
@@ -302,6 +300,8 @@ def _scene(wish: SimulateRequest) -> Scene:
             "noise_offset_m": (0.0, 0.0),
             "light_position_m": (1.0, 1.0, 2.0),
         }
+    elif wish.scenario == "table":
+        shape = {"slope": (0.0, 0.0), "walls_m": (-1.2, -1.2, 1.2, 1.2)}
     sampled: dict[str, Any] = {
         "scenario": wish.scenario,
         "seed": wish.seed,

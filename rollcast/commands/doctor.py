@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from rollcast.client import Client
-from rollcast.commands.options import DEFAULT_URL, Outcome, Url, client
+from rollcast.commands.options import Outcome, Url, client
 from rollcast.commands.printing import as_json
 from rollcast.errors import RollcastError
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
@@ -49,7 +49,7 @@ class Finding(NamedTuple):
 
 def doctor(
     context: typer.Context,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
     form: Annotated[Literal["table", "json"], typer.Option("--format", help="how to print it")] = (
         "table"
     ),
@@ -57,7 +57,7 @@ def doctor(
     """Make every check that the ones before it allow."""
     findings = [*_installed(), *_extras()]
     with client(context, url) as service:
-        findings += _service(service, url)
+        findings += _service(service)
     if form == "json":
         text = as_json([finding._asdict() for finding in findings])
     else:
@@ -85,15 +85,15 @@ def _extras() -> Iterator[Finding]:
             yield Finding("ok", extra, f"{package} {version(package)}, {purpose}")
 
 
-def _service(service: Client, url: str) -> Iterator[Finding]:
+def _service(service: Client) -> Iterator[Finding]:
     try:
         health = service.health()
         if health.status != "ready":
             hint = "; try again in some seconds" if health.status == "loading" else ""
-            told = f"{url} answers, but it is not ready: {health.status}{hint}"
+            told = f"{service.base_url} answers, but it is not ready: {health.status}{hint}"
             yield Finding("FAIL", "service", told)
             return
-        yield Finding("ok", "service", f"{url} is ready")
+        yield Finding("ok", "service", f"{service.base_url} is ready")
         yield from _models(service)
         yield _round_trip(service)
     except RollcastError as error:

@@ -8,7 +8,6 @@ from PIL import Image
 
 from rollcast.client import Simulation
 from rollcast.commands.options import (
-    DEFAULT_URL,
     FILMS,
     CommandError,
     FolderOrFilm,
@@ -68,7 +67,7 @@ def simulate(
             help="side of the frames",
         ),
     ] = 128,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
     form: Printed = "table",
     out: FolderOrFilm = None,
     slower: Slower = 1,
