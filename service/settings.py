@@ -2,11 +2,9 @@
 
 import math
 import os
-import socket
 import textwrap
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 from loky import cpu_count
 from pydantic import (
@@ -47,28 +45,19 @@ def keep_runtime_silent() -> None:
 
 SHARED_METRICS = "PROMETHEUS_MULTIPROC_DIR"
 """Names the folder in which several processes count; Prometheus' client reads it too."""
-MOST_PROCESSES = 4
-"""By default: each holds all models in memory."""
+SHUTDOWN_MARGIN_S = 1
+"""Time beyond ``stop_timeout_s`` after which a process ends without finishing its work."""
 
 
-def metrics_are_shared() -> bool:
-    """Tell whether several processes count together."""
-    return SHARED_METRICS in os.environ
+def metrics_folder() -> Path | None:
+    """Return the folder in which several processes count together, if there is one."""
+    folder = os.environ.get(SHARED_METRICS)
+    return None if folder is None else Path(folder)
 
 
 def share_metrics(folder: str) -> None:
-    """Let processes count in one folder, unless the user has named one.
-
-    Prometheus' client must not have been imported yet.
-    """
+    """Let processes count in one folder, unless the user has named one."""
     os.environ.setdefault(SHARED_METRICS, folder)
-
-
-def default_processes(given: Mapping[str, Any]) -> int:
-    """Return one a core up to a few; one where requests are counted or cannot be handed over."""
-    if given.get("requests_per_minute") is not None or not hasattr(socket, "send_fds"):
-        return 1
-    return min(cpu_count(), MOST_PROCESSES)
 
 
 Origin: TypeAlias = Annotated[str, Field(pattern=r"^(\*|https?://[^/\s]+)$")]
@@ -112,14 +101,14 @@ class Settings(BaseSettings):
     refused with 408, and its connection closed."""
     send_timeout_s: Annotated[float, Field(gt=0)] = 60
     """Seconds after which the connection of a client is closed that takes nothing of its answer."""
-    processes: Annotated[int, Field(ge=1)] = Field(default_factory=default_processes)
-    """Processes that answer, each with all models in its memory; by default one per core that the
-    service or its container may use, up to four. Each connection belongs to one of them."""
+    processes: Annotated[int, Field(ge=1)] = 1
+    """Worker processes that accept connections, each with all models in its memory. A supervisor
+    replaces workers that exit or do not respond. By default one process serves on all cores."""
     inference_threads: Annotated[int, Field(ge=1)] = Field(default_factory=cpu_count)
-    """Threads that compute forecasts, of all processes together and at least one in each; by
-    default one per core."""
+    """Threads that compute forecasts, split evenly across processes, at least one in each; by
+    default one per core that the service or its container may use."""
     inference_queue: Annotated[int, Field(ge=0)] = 64
-    """Forecasts that may be held beyond one a thread, in equal parts by all processes; one more is
+    """Queue length beyond the forecasts being computed, split evenly across processes; one more is
     refused with 429."""
     deadline_s: Annotated[float, Field(gt=0)] = 60
     """Seconds after which a forecast that is not there is given up with 504, the wait in the queue
@@ -128,8 +117,8 @@ class Settings(BaseSettings):
     """Forecasts that may come in one tensor of ``/v2``, and that are gathered, while more frames
     wait, before they are rolled out together."""
     simulation_queue: Annotated[int, Field(ge=0)] = 8
-    """Simulations that may wait for the one that runs, in equal parts in all processes, each of
-    which runs its own; one more is refused with 429."""
+    """Queue length beyond the running simulation, split evenly across processes, each of which
+    runs its own; one more is refused with 429."""
     simulation_recycle: Annotated[int, Field(ge=1)] = 500
     """Simulations after which the process that runs them is replaced."""
     simulation_timeout_s: Annotated[float, Field(gt=0)] = 120
@@ -145,7 +134,8 @@ class Settings(BaseSettings):
     that those who send it requests take notice; it listens until its last forecast is answered
     anyway."""
     stop_timeout_s: Annotated[int, Field(ge=1)] = 30
-    """Seconds after which a service that was told to stop gives up what it still works on."""
+    """Seconds after which a service that was told to stop gives up what it still works on; it ends
+    at most three seconds later."""
     log_format: Literal["json", "text"] = "json"
     """Log lines as JSON objects, or as text for people."""
     log_requests: bool = True

@@ -14,7 +14,7 @@ from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.client import Client
 from rollcast.commands.options import Outcome, Url, client
 from rollcast.commands.printing import as_json
-from rollcast.errors import RollcastError, ServiceFailedError
+from rollcast.errors import RollcastError, ServerError
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 
 HELP = """\
@@ -117,7 +117,7 @@ def _round_trip(service: Client) -> Iterator[Finding]:
     """Forecast a simulated ball and compare with where it went."""
     try:
         scene = service.simulate("hemisphere", seed=SEED, steps=OBSERVED_FRAMES + HORIZON)
-    except ServiceFailedError as error:
+    except ServerError as error:
         if error.problem.status != HTTPStatus.NOT_IMPLEMENTED:
             raise
         yield Finding("note", "simulation", error.problem.detail)

@@ -49,11 +49,12 @@ def service(**settings: str) -> Iterator[tuple[str, psutil.Process]]:
 
 
 def answering(process: psutil.Process) -> list[psutil.Process]:
-    """The processes of a service that answer: those that it has started for that, or itself."""
+    """The processes of a service that accept connections: its worker processes, or itself."""
     found: list[psutil.Process] = []
     for child in process.children():
-        with suppress(psutil.NoSuchProcess):  # one that has just died has no command line
-            found += [child] if child.cmdline() == process.cmdline() else []
+        with suppress(psutil.NoSuchProcess):  # one that has just died has no connections
+            listens = any(one.status == "LISTEN" for one in child.net_connections("tcp"))
+            found += [child] if listens else []
     return found or [process]
 
 

@@ -38,7 +38,7 @@ def test_it_stops_when_it_is_told_to(order):
 
 
 def test_what_was_accepted_is_answered_before_it_stops():
-    process, address = start_service()
+    process, address = start_service(ROLLCAST_STOP_TIMEOUT_S="300")
     requests = 12
 
     def forecast(frames: np.ndarray) -> int:

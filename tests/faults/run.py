@@ -46,9 +46,9 @@ class SkippedError(Exception):
 
 
 async def killed_process(report: Report, times: int) -> None:
-    """kill -9 of one of the processes that answer: its connections end, the others go on."""
+    """kill -9 of one of two workers: its connections end, the other one continues."""
     report.expected = LOST | CLOSED
-    with service() as (address, process):
+    with service(ROLLCAST_PROCESSES="2") as (address, process):
         load = Load(address, report)
         async with load.running():
             for _ in range(times):
@@ -386,7 +386,7 @@ def fill(disk: Path) -> None:
 
 
 FAULTS: dict[str, tuple[Fault, int]] = {
-    "kill -9 of one of the processes that answer": (killed_process, 5),
+    "kill -9 of one of two workers": (killed_process, 5),
     "kill -9 of the process that simulates": (killed_simulation, 10),
     "SIGTERM": (told_to_stop, 3),
     "full disk": (full_disk, 5),

@@ -72,6 +72,52 @@ def test_requests_are_counted_by_route_and_status(client):
     assert counted("http_request_duration_seconds_sum", "/models/{name}", "GET") > 0
 
 
+def test_unusual_methods_share_a_label(client):
+    for method in ("PROPFIND", "MKCOL", "SEARCH"):
+        assert client.request(method, "/predict").status_code == 405
+    assert figures(client)("http_requests_total", "/predict", "405", "other") == 3
+
+
+def test_a_process_continues_the_counters_of_its_name_in_files_that_do_not_grow(tmp_path):
+    count = (
+        "from pathlib import Path;"
+        "from service.observability.shared_metrics import reserve_metrics, write_metrics_as;"
+        f"reserve_metrics(Path({str(tmp_path)!r}), 'worker-0'); write_metrics_as('worker-0');"
+        "from service.observability.metrics import Metrics;"
+        "m = Metrics();"
+        "held = m.held.labels('inference'); assert held._value.get() == 0; held.inc();"
+        "[m.request(f'/route/{k}', 'GET', 200, 1.0) for k in range(100)];"
+        "m.request('/predict', 'GET', 200, 1.0);"
+        "print(m.text().decode())"
+    )
+    sizes = set()
+    for process in (1, 2):
+        done = subprocess.run(
+            [sys.executable, "-c", count],
+            env={"PROMETHEUS_MULTIPROC_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        samples = [
+            sample
+            for family in text_string_to_metric_families(done.stdout)
+            for sample in family.samples
+        ]
+        (counted,) = [
+            sample.value
+            for sample in samples
+            if sample.name == "http_requests_total" and sample.labels["handler"] == "/predict"
+        ]
+        assert counted == process
+        held = [s.value for s in samples if s.name == "rollcast_held"]
+        assert sorted(held) == [0, 1]
+        files = [path.stat() for path in tmp_path.glob("*.db")]
+        assert all(512 * file.st_blocks >= file.st_size for file in files)  # allocated, not sparse
+        sizes |= {file.st_size for file in files}
+    assert len(sizes) == 1
+
+
 def test_processes_that_share_a_folder_are_counted_together(tmp_path):
     count = (
         "from service.observability.metrics import Metrics;"

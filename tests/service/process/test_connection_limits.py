@@ -10,9 +10,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from service.app import create_app
 from service.process.connection_limits import MAX_HEAD_BYTES
-from service.process.server import Server
+from service.process.server import make_server
 from service.settings import Settings
 from tests.service import samples
 from tests.service.samples import body
@@ -29,7 +28,7 @@ def served(folder, load=samples.registry, **limits: object) -> Iterator[tuple[st
     settings = Settings(models_dir=folder, stop_timeout_s=1, **limits)
     log = logging.getLogger()
     level, handlers = log.level, [*log.handlers]
-    server = Server(create_app(settings, load), settings)
+    server = make_server(settings, load)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         listener.setsockopt(
             socket.SOL_SOCKET, socket.SO_SNDBUF, 4096
