@@ -7,13 +7,14 @@ import uuid
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Generic, TypedDict, TypeVar
+from typing import Any, Generic, TypedDict, TypeVar, cast
 from urllib.parse import quote
 
 import httpx2
+import numpy as np
 from pydantic import ValidationError
 
-from rollcast.client.images import Crop, Frame, Frames, encoded
+from rollcast.client.images import Crop, Frame, Frames, each, encoded
 from rollcast.client.results import Forecast, Simulation
 from rollcast.errors import (
     BusyError,
@@ -182,7 +183,8 @@ def _forecast_call(
 ) -> Call[T]:
     crop = options.get("crop")
     files: list[Part] = [
-        ("frames", (f"frame{index}", encoded(frame, crop))) for index, frame in enumerate(frames)
+        ("frames", (f"frame{index}", encoded(frame, crop)))
+        for index, frame in enumerate(each(frames))
     ]
     if final_frame is not None:
         files.append(("final_frame", ("final_frame", encoded(final_frame, crop))))
@@ -205,8 +207,13 @@ def simulate(
         "POST",
         "/simulate",
         lambda body: Simulation.from_response(SimulateResponse.model_validate_json(body)),
-        json={name: value for name, value in body.items() if value is not None},
+        json={name: _plain(value) for name, value in body.items() if value is not None},
     )
+
+
+def _plain(value: object) -> object:
+    """Return a NumPy scalar as a number that JSON knows."""
+    return cast("object", value.item()) if isinstance(value, np.generic) else value
 
 
 def models() -> Call[list[ModelEntry]]:

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from rollcast.client.images import Crop, Frames, pixels
+from rollcast.client.images import Crop, Frames, each, pixels
 from rollcast.plot import draw_forecast, draw_truth
+from rollcast.trajectory import STEP_TOLERANCE
 
 if TYPE_CHECKING:
     from rollcast.client.results import Forecast, Simulation
@@ -21,14 +22,17 @@ def forecast(
     panels: int,
 ) -> Image.Image:
     """Draw a forecast as ``Forecast.plot`` describes."""
+    frames = each(frames)
     if times_s is None:
         times_s = [index / forecast.frame_rate for index in range(len(frames))]
-    if len(times_s) != len(frames) or [0, *sorted(times_s)[1:]] != list(times_s):
+    tolerance_s = STEP_TOLERANCE / forecast.frame_rate
+    is_now = len(times_s) > 0 and abs(times_s[0]) <= tolerance_s
+    if len(times_s) != len(frames) or not is_now or sorted(times_s) != list(times_s):
         raise ValueError(
             f"{len(frames)} frames at {list(times_s)} s, expected as many times, ascending from 0: "
             "the last observed frame"
         )
-    end_s = forecast.times_s[-1] + 0.5 / forecast.frame_rate
+    end_s = forecast.times_s[-1] + tolerance_s
     shown = _spread(sum(time_s <= end_s for time_s in times_s), panels)
     pictures = [pixels(frames[index], crop) for index in shown]
     for picture in pictures:

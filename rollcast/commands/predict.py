@@ -1,5 +1,6 @@
 """``rollcast predict``: where the ball of a video or of images goes."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -117,13 +118,12 @@ def predict(
             scenario=scenario,
             frame_rate=observed.frame_rate,
         )
-    if out is not None:
-        draw(out, observed, later_frames, forecast, slower)
-    warnings = list(forecast.warnings)
+    warnings = [*observed.warnings, *forecast.warnings]
     if observed.blended_over_s:
         warnings.insert(0, _blended(observed.blended_over_s, known_rate))
     text = forecast_text(observed, forecast, warnings, form)
-    return Outcome(text, warnings if form == "csv" else ())
+    drawing = None if out is None else partial(draw, out, observed, later_frames, forecast, slower)
+    return Outcome(text, warnings if form == "csv" else (), finish=drawing)
 
 
 def _known(service: Client, model: str) -> tuple[float, SquareCrop | None]:

@@ -49,6 +49,8 @@ class Tracks:
         NaN in gaps.
     confidences
         0 to 1; 0 in gaps.
+    source_sha256
+        Hash of the clip's file; empty where it is not known.
     """
 
     clip: str
@@ -59,6 +61,7 @@ class Tracks:
     positions_px: Float[np.ndarray, "frames balls 2"]
     radii_px: Float[np.ndarray, "frames balls"]
     confidences: Float[np.ndarray, "frames balls"]
+    source_sha256: str = ""
 
     @property
     def balls(self) -> int:
@@ -82,7 +85,12 @@ class Tracks:
             self.radii_px.ravel(),
             self.confidences.ravel(),
         ]
-        about = {"width": self.width, "height": self.height, "colours": self.colours}
+        about = {
+            "width": self.width,
+            "height": self.height,
+            "colours": self.colours,
+            "source_sha256": self.source_sha256,
+        }
         table = pa.Table.from_arrays(
             [pa.array(c, f.type, from_pandas=True) for c, f in zip(columns, COLUMNS, strict=True)],
             schema=COLUMNS.with_metadata({ABOUT: json.dumps(about).encode()}),
@@ -121,4 +129,5 @@ class Tracks:
             positions_px=np.stack([shaped["x"], shaped["y"]], axis=-1),
             radii_px=shaped["radius"].copy(),
             confidences=shaped["confidence"].copy(),
+            source_sha256=told.get("source_sha256", ""),
         )

@@ -318,8 +318,9 @@ Options:
   --start SECONDS                 time of the first of the four frames in the video (default: 0)
   --every N                       take every N-th frame as it is, none is blended (default: 40 a
                                   second)
-  --rate HZ                       images a second, of all of them (default: 40); a video tells its
-                                  own
+  --rate HZ                       frames a second that the camera took: of images (default: 40),
+                                  of an elementary stream, which does not tell, and of slow
+                                  motion, which is stored slower
   --crop X,Y,SIZE                 the square that is looked at: left column, upper row, side, in
                                   pixels (default: the largest in the middle); models know frames
                                   that the bowl or plane just fills

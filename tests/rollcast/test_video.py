@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rollcast.errors import CropError, FootageError
+from rollcast.errors import CropError, FootageEndedError, FootageError
 from rollcast.footage import SquareCrop
 from rollcast.video import camera_rate, frames_at, read_frames
 
@@ -126,12 +126,13 @@ def test_a_variable_rate_becomes_an_even_one(tmp_path):
     assert read_frames(video, start_s=0.2).blended_over_s == 0
 
 
-def test_frames_at_times_without_repetition_until_the_end(tmp_path):
+def test_frames_at_times_are_blended_like_the_observed_ones_until_the_end(tmp_path):
     video = write_video(tmp_path / "clip.mp4", even(25, frames=20))
-    footage = frames_at(video, [0.2, 0.21, 0.49, 0.761, 0.9])
-    assert numbers(footage) == [5, 6, 12, 19]
-    np.testing.assert_allclose(footage.times_s, [0.2, 0.24, 0.48, 0.76], atol=1e-3)
-    with pytest.raises(FootageError, match=r"ends before 0\.900 s"):
+    footage = frames_at(video, [0.2, 0.21, 0.4985, 0.761, 0.9])
+    np.testing.assert_allclose(footage.times_s, [0.2, 0.21, 0.4985, 0.76], atol=1e-3)
+    np.testing.assert_allclose(places(footage), [5, 5.25, 12.46, 19], atol=0.3)
+    assert footage.blended_over_s == pytest.approx(0.04)
+    with pytest.raises(FootageEndedError, match=r"ends before 0\.900 s"):
         frames_at(video, [0.9])
 
 
@@ -235,5 +236,6 @@ def test_sound_alone_and_one_picture_are_refused(tmp_path):
 
 
 def test_a_spacing_needs_two_frames(tmp_path):
+    video = write_video(tmp_path / "clip.mp4", even(25, frames=5))
     with pytest.raises(ValueError, match="expected at least 2"):
-        read_frames(tmp_path / "clip.mp4", frames=1)
+        read_frames(video, frames=1)

@@ -33,7 +33,7 @@ def test_clips_get_tracks_a_report_and_a_film_each(clips, tmp_path, capsys):
     ("arguments", "code", "reason"),
     [
         (["missing.mp4"], 1, "missing.mp4 cannot be read: No such file or directory"),
-        (["here/a.mp4", "there/a.mp4"], 1, "two clips are called a; name them apart"),
+        (["here/a.mp4", "here/a.mov"], 1, "two clips are called a; name them apart"),
         (["a.mp4", "--balls", "5"], 2, "5 is not a whole number from 1 to 4"),
         (["a.mp4", "--crop", "1,2"], 2, "1,2 is not X,Y,SIZE"),
     ],
