@@ -95,7 +95,8 @@ class Tracks:
             [pa.array(c, f.type, from_pandas=True) for c, f in zip(columns, COLUMNS, strict=True)],
             schema=COLUMNS.with_metadata({ABOUT: json.dumps(about).encode()}),
         )
-        parquet.write_table(table, path)
+        with path.open("wb") as file:  # names go through Python: pyarrow wants UTF-8
+            parquet.write_table(table, file)
 
     @classmethod
     def read(cls, path: Path) -> "Tracks":
@@ -107,7 +108,8 @@ class Tracks:
             When the file cannot be read or holds no such table.
         """
         try:
-            table = parquet.read_table(path)
+            with path.open("rb") as file:
+                table = parquet.read_table(file)
         except (OSError, pa.ArrowInvalid) as error:
             raise FootageError(f"{path} cannot be read as tracks: {error}") from error
         about = (table.schema.metadata or {}).get(ABOUT)

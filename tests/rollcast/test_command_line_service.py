@@ -225,6 +225,14 @@ def test_what_is_missing_is_a_note(run, monkeypatch):
     assert "note video: pip install 'rollcast[video]', and videos can be read" in printed
 
 
+def test_a_pyav_that_cannot_read_clips_fails(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rollcast.video", None)
+    code, printed, _ = run("doctor")
+    assert code == 1
+    assert "FAIL video: av " in printed
+    assert "pip install -U 'rollcast[video]'" in printed
+
+
 def test_outside_a_checkout_serve_prints_the_containers_command(tmp_path):
     package = Path(rollcast.__file__).parent
     shutil.copytree(package, tmp_path / "rollcast", ignore=shutil.ignore_patterns("__pycache__"))

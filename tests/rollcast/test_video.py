@@ -23,7 +23,7 @@ def picture(number):
     return frame
 
 
-def write_video(path, times_ms, rotation=0, codec="libx264", pixel_aspect=None, **options):
+def write_video(path, times_ms, codec="libx264", pixel_aspect=None, **options):
     """Write one frame for each time; H.264 stores them in another order."""
     with av.open(path, "w") as container:
         stream = container.add_stream(codec, rate=30, options=options)
@@ -31,8 +31,6 @@ def write_video(path, times_ms, rotation=0, codec="libx264", pixel_aspect=None, 
         stream.codec_context.time_base = Fraction(1, 1000)
         if pixel_aspect:
             stream.codec_context.sample_aspect_ratio = pixel_aspect
-        if rotation:
-            stream.set_display_rotation(rotation)
         for number, time_ms in enumerate(times_ms):
             frame = av.VideoFrame.from_ndarray(picture(number), format="rgb24")
             frame.pts, frame.time_base = time_ms, Fraction(1, 1000)
@@ -145,13 +143,6 @@ def test_a_crop_is_that_part_of_the_picture(tmp_path):
     corner = read_frames(video, crop=SquareCrop(0, 0, 32)).frames[0]
     assert corner[4, 4, 0] > 150 > 50 > corner[4, 24, 0]
     assert corner[4, 4, 1] < 50
-
-
-def test_pictures_are_turned_as_players_turn_them(tmp_path):
-    video = write_video(tmp_path / "clip.mp4", even(30), rotation=90)
-    turned = read_frames(video, crop=SquareCrop(0, 80, 16)).frames[0]
-    assert turned[4, 4, 0] > 150
-    assert turned[4, 4, 1] < 50
 
 
 def test_pixels_that_are_not_square_are_shown_square(tmp_path):
