@@ -285,7 +285,7 @@ class VideoFile:
 
     def _timed(self, container: InputContainer, stream: VideoStream) -> Iterator[_Timed]:
         probe = self._probe
-        stamps: deque[int] = deque()
+        stamps: deque[int] = deque(maxlen=None if probe.is_counted else 1)
         for index, picture in enumerate(self._decoded(container, stream, stamps)):
             if probe.interval_s is not None:
                 yield index * probe.interval_s, picture
@@ -301,6 +301,7 @@ class VideoFile:
     ) -> Iterator[VideoFrame]:
         """Decode what can be decoded; collect the packets' decoding times and damaged places."""
         packets = container.demux(stream)
+        last: int | None = None
         for index in count():
             packet = None
             try:
@@ -311,10 +312,11 @@ class VideoFile:
                     if not packet.size:  # a frame that the recorder dropped; not the end
                         continue
                     stamps.append(packet.dts)
+                    last = packet.dts
                 pictures = packet.decode()
             except FFmpegError:
                 if packet is None:  # the container itself: nothing follows that can be found
-                    self._damage.add(_Damage(None, index))
+                    self._damage.add(_Damage(last, index))
                     return
                 if packet.dts is not None:
                     stamps.pop()
