@@ -113,7 +113,7 @@ class Footage:
 
 
 @dataclass(frozen=True)
-class Moment:
+class TimedFrame:
     """A picture and when it was taken, or would have been."""
 
     picture: UInt8[np.ndarray, "height width 3"]
@@ -248,7 +248,7 @@ def rate_near(source: FrameSource, start_s: float = 0.0) -> float:
 
 def resample(
     taken: Iterable[TakenFrame], wanted_s: Sequence[float], near_s: float
-) -> Iterator[Moment]:
+) -> Iterator[TimedFrame]:
     """Yield a picture for each of some ascending times, until the footage ends.
 
     A picture between two is the two of them, faded into each other: a forecast from pictures made
@@ -272,21 +272,21 @@ def resample(
         is_before = abs(before.time_s - time_s) <= abs(last.time_s - time_s)
         nearest = before if is_before else last
         if abs(nearest.time_s - time_s) <= near_s or not before.time_s < time_s < last.time_s:
-            yield Moment(nearest.load(), nearest.time_s)
+            yield TimedFrame(nearest.load(), nearest.time_s)
         else:
             yield _blended(before, last, time_s)
 
 
-def _blended(before: TakenFrame, after: TakenFrame, time_s: float) -> Moment:
+def _blended(before: TakenFrame, after: TakenFrame, time_s: float) -> TimedFrame:
     over_s = after.time_s - before.time_s
     share = (time_s - before.time_s) / over_s
     mixed = (1 - share) * before.load().astype(np.float32)
     mixed += share * after.load().astype(np.float32)
-    return Moment(mixed.round().astype(np.uint8), time_s, over_s)
+    return TimedFrame(mixed.round().astype(np.uint8), time_s, over_s)
 
 
 def from_moments(
-    moments: Sequence[Moment], crop: SquareCrop | None, warnings: Iterable[str] = ()
+    moments: Sequence[TimedFrame], crop: SquareCrop | None, warnings: Iterable[str] = ()
 ) -> Footage:
     """Cut the same square out of every picture, by default the largest one in their middle."""
     height, width = moments[0].picture.shape[:2]

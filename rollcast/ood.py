@@ -27,7 +27,7 @@ FLOOR = 1e-3
 
 
 @dataclass(frozen=True)
-class Look:
+class FrameStats:
     """What four frames look like."""
 
     thumbnail: Float32[np.ndarray, " 192"]
@@ -44,7 +44,7 @@ class Look:
         return self.largest_change < MOVED_LEVELS
 
 
-def look(frames: UInt8[np.ndarray, "K 128 128 3"]) -> Look:
+def frame_stats(frames: UInt8[np.ndarray, "K 128 128 3"]) -> FrameStats:
     """Sum up the four observed frames; a final frame is left out."""
     seen = frames[:OBSERVED_FRAMES]
     side = seen.shape[1] // SHRINK
@@ -63,7 +63,7 @@ def look(frames: UInt8[np.ndarray, "K 128 128 3"]) -> Look:
     moved = np.maximum(np.maximum(red, green), blue)
     share = float(np.count_nonzero(moved * 255 >= MOVED_LEVELS)) / moved.size
     texture = np.log(np.concatenate([fineness, changes, [share]]) + FLOOR)
-    return Look(mean.ravel(), texture.astype(np.float32), float(moved.max()) * 255)
+    return FrameStats(mean.ravel(), texture.astype(np.float32), float(moved.max()) * 255)
 
 
 @dataclass(frozen=True)
@@ -79,11 +79,11 @@ class Familiarity:
     whitening: Float32[np.ndarray, "kinds numbers numbers"]
     """Turns differences from the mean into independent ones of variance 1."""
 
-    def score(self, seen: Look) -> float:
+    def score(self, seen: FrameStats) -> float:
         """Distance from the nearest kind; about 1 is usual."""
         return float(min(self.scores(seen)))
 
-    def scores(self, seen: Look) -> Float64[np.ndarray, " kinds"]:
+    def scores(self, seen: FrameStats) -> Float64[np.ndarray, " kinds"]:
         """Distance from every kind: root of the mean square of the whitened numbers."""
         numbers = summed_up(seen, self.thumbnail, self.components) - self.mean
         whitened = (self.whitening @ numbers[..., None])[..., 0]
@@ -101,7 +101,7 @@ class Familiarity:
 
 
 def summed_up(
-    seen: Look,
+    seen: FrameStats,
     thumbnail: Float32[np.ndarray, "*kinds 192"],
     components: Float32[np.ndarray, "*kinds parts 192"],
 ) -> Float32[np.ndarray, "*kinds numbers"]:

@@ -18,7 +18,7 @@ Run = Callable[[Sequence[str], dict[str, Any]], Sequence[np.ndarray]]
 """Runs a graph: names of the wanted outputs and inputs by name to the outputs, [B, ...] all."""
 
 
-def look(
+def run_perception(
     run: Run, wanted: Sequence[str], frames: UInt8[np.ndarray, "B K 128 128 3"]
 ) -> dict[str, np.ndarray]:
     """Return what an encoder reads of the frames.

@@ -217,6 +217,17 @@ class SceneParameters(RequestBody):
     noise_scale: Number | None = None
     noise_offset_m: Point | None = None
     light_position_m: Vector | None = None
+    slope: Point | None = None
+    walls_m: tuple[Number, Number, Number, Number] | None = None
+    friction: Number | None = None
+    ball_friction: Number | None = None
+    wall_friction: Number | None = None
+    rolling_resistance: Number | None = None
+    damping: Number | None = None
+    ball_restitution: Number | None = None
+    wall_restitution: Number | None = None
+    mass_ratios: tuple[Number, ...] | None = None
+    spins_rad_s: tuple[Vector, ...] | None = None
     positions_m: Annotated[tuple[Vector, ...], Field(min_length=1)] | None = None
     velocities_m_s: tuple[Vector, ...] | None = None
     orientations_xyzw: tuple[tuple[Number, Number, Number, Number], ...] | None = None

@@ -26,9 +26,9 @@ from jaxtyping import UInt8
 from rollcast.errors import FootageEndedError, FootageError
 from rollcast.footage import (
     Footage,
-    Moment,
     SquareCrop,
     TakenFrame,
+    TimedFrame,
     rate_near,
     read_at,
     read_evenly,
@@ -164,7 +164,7 @@ def frames_at(
     return read_at(source, times_s, crop=crop, frame_rate=frame_rate)
 
 
-def every_frame(path: Path | str) -> Iterator[Moment]:
+def every_frame(path: Path | str) -> Iterator[TimedFrame]:
     """Read all frames of a video, whole, as the camera took them.
 
     Raises
@@ -173,7 +173,7 @@ def every_frame(path: Path | str) -> Iterator[Moment]:
         When the file cannot be read as a video.
     """
     for taken in VideoFile(path).frames():
-        yield Moment(taken.load(), taken.time_s)
+        yield TimedFrame(taken.load(), taken.time_s)
 
 
 class VideoFile:

@@ -8,8 +8,8 @@ from fastapi import Depends, FastAPI
 from fastapi_offline import FastAPIOffline
 
 from rollcast.schemas import API_VERSION
-from service.auth.api_keys import Keyring
-from service.auth.rate_limit import Rates
+from service.auth.api_keys import ApiKeyStore
+from service.auth.rate_limit import RateLimiter
 from service.http.authorization import check_access
 from service.http.openapi import install_openapi
 from service.http.problem_details import install_problem_handlers
@@ -71,10 +71,10 @@ def create_app(
             ),
             metrics=figures,
             load=load,
-            keyring=None if settings.keys_file is None else Keyring(settings.keys_file),
-            rates=None
+            api_keys=None if settings.keys_file is None else ApiKeyStore(settings.keys_file),
+            rate_limiter=None
             if settings.requests_per_minute is None
-            else Rates(settings.requests_per_minute),
+            else RateLimiter(settings.requests_per_minute),
             siblings=siblings,
         )
         app.state.service = state

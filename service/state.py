@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from fastapi import Depends, Request
 
-from service.auth.api_keys import Keyring
-from service.auth.rate_limit import Rates
+from service.auth.api_keys import ApiKeyStore
+from service.auth.rate_limit import RateLimiter
 from service.errors import NotReadyError
 from service.inference.admission import Workers
 from service.inference.scheduler import Scheduler
@@ -32,9 +32,9 @@ class State:
         What is counted of all that.
     load
         Loads models from their folder.
-    keyring
+    api_keys
         The API keys; None where nobody is asked for one.
-    rates
+    rate_limiter
         How often each may ask; None where everybody may as often as they like.
     siblings
         The other processes that answer; None where there are none.
@@ -51,8 +51,8 @@ class State:
     simulation: Workers
     metrics: Metrics
     load: Loader
-    keyring: Keyring | None = None
-    rates: Rates | None = None
+    api_keys: ApiKeyStore | None = None
+    rate_limiter: RateLimiter | None = None
     siblings: Siblings | None = None
     registry: Registry = field(default_factory=lambda: Registry([]))
     changing: asyncio.Lock = field(default_factory=asyncio.Lock)

@@ -15,7 +15,7 @@ from training.common.settings import runs_folder
 from training.data.clip_dataset import Clips
 from training.data.shards import Source, data_folder, in_processes, make_missing, split_shards
 from training.data.splits import Split
-from training.engine.trainer import Pace, Trainer
+from training.engine.trainer import Trainer, TrainerConfig
 from training.engine.warm_start import Initial
 from training.evaluation import world_check
 from training.evaluation.error_breakdown import dissected, dissection_table
@@ -35,7 +35,7 @@ from training.reporting.plots import draw_training
 from training.reporting.results import committed
 from training.studies import STUDIES
 from training.studies.publish import DOCS, RESULTS, publish, publish_study
-from training.studies.rows import BUDGET, Effort
+from training.studies.rows import BUDGET, StudyBudget
 
 MODELS = Path("models")
 README = Path("README.md")
@@ -102,7 +102,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="VGG16 trained on ImageNet (torchvision's .pth or ONNX), for the paper's preset",
     )
-    train.add_argument("--validate-every", type=int, default=Pace.validate_every, metavar="BATCHES")
+    train.add_argument(
+        "--validate-every", type=int, default=TrainerConfig.validate_every, metavar="BATCHES"
+    )
     _add_ray(train, "train in several processes that share every batch")
     train.add_argument("--processes", type=int, default=2, help="how many (with --ray)")
     train.set_defaults(run=_train)
@@ -117,9 +119,9 @@ def _parser() -> argparse.ArgumentParser:
     evaluate = commands.add_parser(
         "evaluate", parents=[processes], help="measure exported models on fixed scenes"
     )
-    subject = evaluate.add_mutually_exclusive_group(required=True)
-    subject.add_argument("model", type=Path, nargs="?", help="models/NAME/VERSION")
-    subject.add_argument(
+    case = evaluate.add_mutually_exclusive_group(required=True)
+    case.add_argument("model", type=Path, nargs="?", help="models/NAME/VERSION")
+    case.add_argument(
         "--all", action="store_true", help="every committed model, into docs/results (test split)"
     )
     evaluate.add_argument("--split", choices=("validation", "test"), default="test")
@@ -188,7 +190,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     studied.add_argument("study", choices=sorted(STUDIES))
     studied.add_argument("--rows", nargs="+", default=[], metavar="METHOD", help="these rows alone")
-    studied.add_argument("--scenes", type=int, default=500, help="test scenes of every subject")
+    studied.add_argument("--scenes", type=int, default=500, help="test scenes of every case")
     studied.add_argument(
         "--sequences",
         type=int,
@@ -248,10 +250,10 @@ def _calibrate(arguments: argparse.Namespace) -> None:
 def _train(arguments: argparse.Namespace) -> None:
     folder = runs_folder() / arguments.recipe
     initial = [one for start in arguments.init for one in initial_networks(start)]
-    pace = Pace(arguments.validate_every, simulators=arguments.workers)
+    config = TrainerConfig(arguments.validate_every, simulators=arguments.workers)
     imagenet = arguments.imagenet and arguments.imagenet.resolve()
     clips = footage.clips_of(arguments)
-    run = partial(_run_training, arguments.recipe, folder, pace, initial, imagenet, clips)
+    run = partial(_run_training, arguments.recipe, folder, config, initial, imagenet, clips)
     if arguments.ray is None:
         error = run()
     else:
@@ -262,13 +264,13 @@ def _train(arguments: argparse.Namespace) -> None:
 def _run_training(
     name: str,
     folder: Path,
-    pace: Pace,
+    config: TrainerConfig,
     initial: Sequence[Initial],
     imagenet: Path | None,
     clips: Mapping[Split, Clips] | None,
 ) -> float:
     recipe = RECIPES[name]()
-    trainer = Trainer(recipe, folder, pace, initial, clips)
+    trainer = Trainer(recipe, folder, config, initial, clips)
     if imagenet is not None:
         network = next(iter(trainer.family.networks().values()))
         if not (isinstance(network, Predictor) and isinstance(network.encoder, VggEncoder)):
@@ -381,7 +383,7 @@ def _familiarise(arguments: argparse.Namespace) -> None:
 def _campaign(arguments: argparse.Namespace) -> None:
     folder = runs_folder() / "campaign"
     train = partial(
-        campaign.train, models=MODELS.resolve(), pace=Pace(simulators=arguments.workers)
+        campaign.train, models=MODELS.resolve(), config=TrainerConfig(simulators=arguments.workers)
     )
     while rounds := campaign.next_rounds(campaign.lines(), folder, MODELS, arguments.sequences):
         if arguments.ray is None:
@@ -411,9 +413,9 @@ def _finish(chosen: campaign.Round, outcome: campaign.Outcome, given: argparse.N
 def _study(arguments: argparse.Namespace) -> None:
     study = STUDIES[arguments.study]
     file = DOCS / "results" / RESULTS
-    effort = Effort(arguments.workers, arguments.sequences)
+    budget = StudyBudget(arguments.workers, arguments.sequences)
     try:
-        for done in study.run(file, arguments.scenes, effort, arguments.rows):
+        for done in study.run(file, arguments.scenes, budget, arguments.rows):
             print(done, flush=True)
             publish_study(study, DOCS)
     except ValueError as error:

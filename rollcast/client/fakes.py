@@ -42,8 +42,6 @@ BELOW = np.array([0.0, 0.2])
 VELOCITY = np.array([0.01, 0.004])
 """Of the first ball at index 0, from each ball to the next and a step: shares of the frame."""
 RADIUS = 0.05
-FOURTH_COLOR = "#f0e442"
-"""Of a fourth ball, which only footage has."""
 SURFACE_POINTS = 9
 TURNING_RAD_S = (0.0, 1.0, 0.0)
 
@@ -117,7 +115,7 @@ def forecast(
         objects=[
             ForecastObject(
                 id=ball,
-                color=(*COLORS, FOURTH_COLOR)[ball],
+                color=COLORS[ball],
                 positions=path[:horizon].tolist(),
                 covariances=[covariance] * horizon,
                 covariance_source="predicted",

@@ -21,7 +21,7 @@ HISTORY = 4
 
 
 @dataclass
-class Piece:
+class Tracklet:
     """One detection in each of some frames that follow each other.
 
     Attributes
@@ -57,7 +57,7 @@ class Piece:
         self.positions_px.append(position_px)
 
 
-def pieces_of(frames: Sequence[Detections], radius_px: float) -> list[Piece]:
+def link_tracklets(frames: Sequence[Detections], radius_px: float) -> list[Tracklet]:
     """Join the detections of neighbouring frames where there is no doubt.
 
     Parameters
@@ -65,39 +65,39 @@ def pieces_of(frames: Sequence[Detections], radius_px: float) -> list[Piece]:
     radius_px
         Of the balls, about.
     """
-    ended: list[Piece] = []
-    going: list[Piece] = []
+    ended: list[Tracklet] = []
+    going: list[Tracklet] = []
     for number, found in enumerate(frames):
         joined = _joined(going, frames[number - 1], found, radius_px) if going else {}
-        still = [piece for index, piece in enumerate(going) if index in joined]
-        ended += [piece for index, piece in enumerate(going) if index not in joined]
-        for piece, row in zip(still, joined.values(), strict=True):
-            piece.add(row, found.positions_px[row])
+        still = [tracklet for index, tracklet in enumerate(going) if index in joined]
+        ended += [tracklet for index, tracklet in enumerate(going) if index not in joined]
+        for tracklet, row in zip(still, joined.values(), strict=True):
+            tracklet.add(row, found.positions_px[row])
         taken = set(joined.values())
         for row, position in enumerate(found.positions_px):
             if row not in taken:
-                piece = Piece(number)
-                piece.add(row, position)
-                still.append(piece)
+                tracklet = Tracklet(number)
+                tracklet.add(row, position)
+                still.append(tracklet)
         going = still
-    return sorted(ended + going, key=lambda piece: piece.first)
+    return sorted(ended + going, key=lambda tracklet: tracklet.first)
 
 
 def _joined(
-    going: Sequence[Piece], before: Detections, found: Detections, radius_px: float
+    going: Sequence[Tracklet], before: Detections, found: Detections, radius_px: float
 ) -> dict[int, int]:
-    """Return the detection of each piece that surely goes on, in the order of the pieces."""
+    """Return the detection of each tracklet that surely goes on, in the order of the tracklets."""
     if not len(found.positions_px):
         return {}
     expected = np.stack([p.positions_px[-1] + p.velocity_px(at_end=True) for p in going])
     apart = np.linalg.norm(expected[:, None] - found.positions_px, axis=-1) / radius_px
-    mine = before.colours[[piece.rows[-1] for piece in going]]
+    mine = before.colours[[tracklet.rows[-1] for tracklet in going]]
     shared = np.minimum(mine[:, None], found.colours).sum(axis=-1)
     cost = apart + COLOUR_COST * (1 - shared)
     limit = FARTHEST + COLOUR_COST
     chosen: dict[int, int] = {}
-    for piece, row in zip(*linear_sum_assignment(np.minimum(cost, limit)), strict=True):
-        others = np.concatenate([np.delete(cost[piece], row), np.delete(cost[:, row], piece)])
-        if apart[piece, row] <= FARTHEST and (others > cost[piece, row] + CLEARER).all():
-            chosen[int(piece)] = int(row)
+    for tracklet, row in zip(*linear_sum_assignment(np.minimum(cost, limit)), strict=True):
+        others = np.concatenate([np.delete(cost[tracklet], row), np.delete(cost[:, row], tracklet)])
+        if apart[tracklet, row] <= FARTHEST and (others > cost[tracklet, row] + CLEARER).all():
+            chosen[int(tracklet)] = int(row)
     return dict(sorted(chosen.items()))

@@ -88,7 +88,7 @@ def digest(token: str) -> str:
     return hashlib.sha256(token.encode("utf-8", "surrogateescape")).hexdigest()
 
 
-class Keyring:
+class ApiKeyStore:
     """The keys of a file, which is read again when it changes.
 
     A file that cannot be read any more leaves the keys as they were, and the reason in the log.

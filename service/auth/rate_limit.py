@@ -6,7 +6,7 @@ import time
 from service.errors import TooManyRequestsError
 
 
-class Rates:
+class RateLimiter:
     """Counts the requests of everybody who asks, in this process alone.
 
     Parameters
@@ -24,7 +24,7 @@ class Rates:
         self._allowed = RateLimitItemPerMinute(per_minute)
         self._limiter = SlidingWindowCounterRateLimiter(MemoryStorage())
 
-    def count(self, asker: str) -> None:
+    def hit(self, asker: str) -> None:
         """Count a request.
 
         Raises

@@ -2,7 +2,7 @@
 
 from fastapi import Request
 
-from service.auth.api_keys import Key, Keyring, Right
+from service.auth.api_keys import ApiKeyStore, Key, Right
 from service.errors import ForbiddenError, UnauthorizedError
 from service.http.problem_details import PROTOCOL_PATH
 from service.state import ServiceState
@@ -39,18 +39,18 @@ async def check_access(request: Request, service: ServiceState) -> None:
     if right is None:
         return
     asker = request.client.host if request.client else "somebody"
-    if service.keyring is not None:
-        asker = _key(request, service.keyring, right).name
-    if service.rates is not None and right != "metrics":
-        service.rates.count(asker)
+    if service.api_keys is not None:
+        asker = _key(request, service.api_keys, right).name
+    if service.rate_limiter is not None and right != "metrics":
+        service.rate_limiter.hit(asker)
 
 
-def _key(request: Request, keyring: Keyring, right: Right) -> Key:
+def _key(request: Request, api_keys: ApiKeyStore, right: Right) -> Key:
     """Return the key that a request shows, if it has the right."""
     scheme, _, token = request.headers.get("authorization", "").partition(" ")
     if scheme.lower() != "bearer" or not token:
         raise UnauthorizedError("This needs an API key: Authorization: Bearer KEY.")
-    key = keyring.find(token.strip())
+    key = api_keys.find(token.strip())
     if key is None:
         raise UnauthorizedError("This API key is not known, or has expired.")
     if right not in key.rights:

@@ -21,11 +21,11 @@ from rollcast.schemas import (
 from service.errors import InvalidValueError
 from service.http.image_decoding import decode_frames
 from service.inference.rollout import Forecast, Outputs, assemble, stacked
-from service.inference.scheduler import Seen
+from service.inference.scheduler import DecodedRequest
 from service.observability.metrics import Metrics
 from service.observability.tracing import Stages
 from service.serving.forecast_warnings import doubts
-from service.serving.registry import Registry, Wish
+from service.serving.registry import ModelQuery, Registry
 
 
 class _Forecast:
@@ -51,7 +51,7 @@ class _Forecast:
         self._horizon = 0
         self._doubts: list[str] = []
 
-    def begin(self) -> Seen:
+    def begin(self) -> DecodedRequest:
         """Choose the model and decode the frames.
 
         Raises
@@ -62,15 +62,15 @@ class _Forecast:
         self.request = request = self._parse()
         self._stages.next()
         final_frame = request.final_frame is not None
-        wish = Wish(request.model, request.objects, request.scenario, final_frame)
-        predictor = self._registry.choose(wish)
+        query = ModelQuery(request.model, request.objects, request.scenario, final_frame)
+        predictor = self._registry.choose(query)
         self.manifest = predictor.manifest
         self._horizon = _horizon(request, predictor.manifest)
         self._rate = request.frame_rate or predictor.manifest.frame_rate_hz
         frames, self._side = _decode(request)
         self._doubts = doubts(predictor, self._horizon, self._rate, frames)
         self._stages.next()
-        return Seen(predictor, frames[None], self._horizon)
+        return DecodedRequest(predictor, frames[None], self._horizon)
 
     def step(self, index: int, outputs: Outputs) -> None:  # noqa: ARG002
         """Note when the first step is there: the frames are encoded."""

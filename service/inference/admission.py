@@ -24,13 +24,13 @@ class Gauge(Protocol):
         ...
 
 
-class Places:
+class AdmissionLimit:
     """A bounded number of places for requests that run or wait.
 
     Parameters
     ----------
     capacity
-        Places that there are.
+        Number of places.
     shown
         Follows the number that is taken.
     """
@@ -46,7 +46,7 @@ class Places:
         """Whether no place is taken."""
         return self._taken == 0
 
-    def take(self) -> None:
+    def acquire(self) -> None:
         """Take a place.
 
         Raises
@@ -62,7 +62,7 @@ class Places:
             self._taken += 1
             self._shown.inc()
 
-    def free(self) -> None:
+    def release(self) -> None:
         """Give a place back."""
         with self._lock:
             self._taken -= 1
@@ -84,12 +84,12 @@ class Workers:
 
     def __init__(self, executor: Executor, capacity: int, shown: Gauge) -> None:
         self._executor = executor
-        self._places = Places(capacity, shown)
+        self._admission = AdmissionLimit(capacity, shown)
 
     @property
     def idle(self) -> bool:
         """Whether nothing runs or waits."""
-        return self._places.idle
+        return self._admission.idle
 
     async def run(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Run a call and return what it returns. Cancelled before its turn, it never runs.
@@ -99,17 +99,17 @@ class Workers:
         QueueFullError
             When ``capacity`` calls are being held.
         """
-        self._places.take()
+        self._admission.acquire()
         try:
             future = self._executor.submit(call, *args, **kwargs)
         except BaseException:
-            self._places.free()
+            self._admission.release()
             raise
         future.add_done_callback(self._release)
         return await asyncio.wrap_future(future)
 
     def _release(self, _: Future[T]) -> None:
-        self._places.free()
+        self._admission.release()
 
     def close(self) -> None:
         """Let running calls end, drop waiting ones."""

@@ -23,26 +23,26 @@ CLIENT_CLOSED_REQUEST = 499
 
 
 class ClientGoneError(Exception):
-    """Nobody waits for the answer any more."""
+    """The client has gone; its answer is not needed."""
 
 
-class Patience:
-    """Whether somebody still waits. Asked by a worker, ended by the event loop."""
+class CancellationToken:
+    """Cancellation of a request: polled by a worker thread, cancelled by the event loop."""
 
     def __init__(self) -> None:
         self._over = threading.Event()
 
-    def end(self) -> None:
-        """Stop waiting."""
+    def cancel(self) -> None:
+        """Cancel the request."""
         self._over.set()
 
-    def check(self) -> None:
-        """Go on only if somebody waits.
+    def raise_if_cancelled(self) -> None:
+        """Raise once the request is cancelled.
 
         Raises
         ------
         ClientGoneError
-            When nobody does.
+            When the request is cancelled.
         """
         if self._over.is_set():
             raise ClientGoneError
@@ -65,7 +65,9 @@ def timeout_s(request: Request, settings: Settings) -> float:
     return min(int(text) / 1000, settings.deadline_s)
 
 
-async def answered(request: Request, timeout: float, submit: Callable[[Patience], Future[T]]) -> T:
+async def answered(
+    request: Request, timeout: float, submit: Callable[[CancellationToken], Future[T]]
+) -> T:
     """Submit a call and return what it returns.
 
     Raises
@@ -77,8 +79,8 @@ async def answered(request: Request, timeout: float, submit: Callable[[Patience]
     QueueFullError
         When it is not taken.
     """
-    patience = Patience()
-    work = asyncio.wrap_future(submit(patience))
+    token = CancellationToken()
+    work = asyncio.wrap_future(submit(token))
     gone = asyncio.ensure_future(_disconnect(request))
     try:
         done, _ = await asyncio.wait(
@@ -90,7 +92,7 @@ async def answered(request: Request, timeout: float, submit: Callable[[Patience]
             raise ClientGoneError
         raise DeadlineExceededError(f"The answer was not there after {timeout:g} s.")
     finally:
-        patience.end()
+        token.cancel()
         gone.cancel()
         work.cancel()
         with suppress(asyncio.CancelledError, Exception):
@@ -100,7 +102,7 @@ async def answered(request: Request, timeout: float, submit: Callable[[Patience]
 async def streamed(
     request: Request,
     timeout: float,
-    submit: Callable[[Patience, Callable[[T], object]], Future[None]],
+    submit: Callable[[CancellationToken, Callable[[T], object]], Future[None]],
 ) -> AsyncGenerator[T]:
     """Submit a call and yield what it hands over, as it comes, until the client goes away.
 
@@ -114,9 +116,9 @@ async def streamed(
     loop = asyncio.get_running_loop()
     ends = loop.time() + timeout
     events: asyncio.Queue[T | None] = asyncio.Queue()
-    patience = Patience()
+    token = CancellationToken()
     running = asyncio.wrap_future(
-        submit(patience, lambda event: loop.call_soon_threadsafe(events.put_nowait, event))
+        submit(token, lambda event: loop.call_soon_threadsafe(events.put_nowait, event))
     )
     gone = asyncio.ensure_future(_disconnect(request))
     for end in (running, gone):
@@ -129,7 +131,7 @@ async def streamed(
     except TimeoutError as error:
         raise DeadlineExceededError(f"The answer was not there after {timeout:g} s.") from error
     finally:
-        patience.end()
+        token.cancel()
         gone.cancel()
         running.cancel()
 

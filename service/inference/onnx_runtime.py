@@ -20,7 +20,7 @@ from rollcast.manifest import (
     OutputName,
 )
 from rollcast.ood import Familiarity
-from rollcast.perception_io import look
+from rollcast.perception_io import run_perception
 from service.inference.rollout import Arrays, Step
 from service.settings import keep_runtime_silent
 
@@ -46,11 +46,16 @@ class _Eye:
         self._unhelped = self._helped = _session(self._graph, reuse=True)
         self._again = Lock()
 
-    def session(self, helped: bool) -> onnxruntime.InferenceSession:
+    def session(self, two_cores: bool) -> onnxruntime.InferenceSession:
         """Return that for as many cores as asked, as soon as it is open."""
-        if helped and self._graph and CORES_OF_AN_EYE > 1 and self._again.acquire(blocking=False):
+        if (
+            two_cores
+            and self._graph
+            and CORES_OF_AN_EYE > 1
+            and self._again.acquire(blocking=False)
+        ):
             Thread(target=self._open_helped, name="opens an eye", daemon=True).start()
-        return self._helped if helped else self._unhelped
+        return self._helped if two_cores else self._unhelped
 
     def _open_helped(self) -> None:
         self._helped, self._graph = _session(self._graph, CORES_OF_AN_EYE, reuse=True), b""
@@ -89,12 +94,14 @@ class OnnxPredictor:
         self._encoded = [*self._state, *self._first]
         self._stepped = [*(f"{NEXT_PREFIX}{name}" for name in self._state), *self._later]
 
-    def encode(self, frames: UInt8[np.ndarray, "B K 128 128 3"], *, helped: bool = False) -> Step:
+    def encode(
+        self, frames: UInt8[np.ndarray, "B K 128 128 3"], *, two_cores: bool = False
+    ) -> Step:
         """Return the first state and the outputs of step t = 0; a second core may help."""
         if self._eye is None:
             seen = {FRAMES_INPUT: frames}
         else:
-            seen = look(self._eye.session(helped).run, self._read, frames)
+            seen = run_perception(self._eye.session(two_cores).run, self._read, frames)
         return self._as_step(self._encoder.run(self._encoded, seen), self._first)
 
     def advance(self, state: Arrays) -> Step:

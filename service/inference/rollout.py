@@ -34,12 +34,14 @@ class Predictor(Protocol):
     familiarity: Familiarity | None
     """What its training frames look like; None when it cannot tell."""
 
-    def encode(self, frames: UInt8[np.ndarray, "B K 128 128 3"], *, helped: bool = False) -> Step:
+    def encode(
+        self, frames: UInt8[np.ndarray, "B K 128 128 3"], *, two_cores: bool = False
+    ) -> Step:
         """Return the first state and the outputs of step t = 0.
 
         Parameters
         ----------
-        helped
+        two_cores
             Whether another core is idle and may help.
         """
         ...

@@ -17,8 +17,8 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 from jaxtyping import UInt8
 
-from service.inference.admission import Gauge, Places
-from service.inference.deadlines import Patience
+from service.inference.admission import AdmissionLimit, Gauge
+from service.inference.deadlines import CancellationToken
 from service.inference.rollout import Arrays, Outputs, Predictor
 from service.siblings import Siblings
 
@@ -29,7 +29,7 @@ ENCODED_TOGETHER = 4
 """Requests whose frames are encoded in one batch: more gain nothing (docs/benchmarks.md)."""
 
 
-class Seen(NamedTuple):
+class DecodedRequest(NamedTuple):
     """A request whose frames are decoded."""
 
     predictor: Predictor
@@ -43,7 +43,7 @@ class Job(Protocol[T_co]):
     Whatever a method raises becomes the answer.
     """
 
-    def begin(self) -> Seen:
+    def begin(self) -> DecodedRequest:
         """Choose the model and decode the frames."""
         ...
 
@@ -57,11 +57,11 @@ class Job(Protocol[T_co]):
 
 
 @dataclass(eq=False)
-class _Member(Generic[T]):
+class _Request(Generic[T]):
     """A request inside the scheduler."""
 
     job: Job[T]
-    patience: Patience
+    token: CancellationToken
     future: Future[T]
     rows: int = 0
     horizon: int = 0
@@ -72,27 +72,27 @@ class _Member(Generic[T]):
         """Whether it has all its steps."""
         return self.steps == self.horizon
 
-    def begin(self) -> Seen | None:
+    def begin(self) -> DecodedRequest | None:
         """Begin; None when that was its end."""
-        seen: list[Seen] = []
+        seen: list[DecodedRequest] = []
 
         def begin() -> None:
-            self.patience.check()
+            self.token.raise_if_cancelled()
             seen.append(self.job.begin())
             self.rows, self.horizon = len(seen[0].frames), seen[0].horizon
 
-        return seen[0] if self.guarded(begin) else None
+        return seen[0] if self.fail_safely(begin) else None
 
     def take(self, outputs: Outputs) -> bool:
         """Take the outputs of the next step; return whether that went well."""
         index, self.steps = self.steps, self.steps + 1
-        return self.guarded(lambda: self.job.step(index, outputs))
+        return self.fail_safely(lambda: self.job.step(index, outputs))
 
     def finish(self) -> None:
         """Make the answer."""
-        self.guarded(lambda: self.future.set_result(self.job.finish()))
+        self.fail_safely(lambda: self.future.set_result(self.job.finish()))
 
-    def guarded(self, act: Callable[[], None]) -> bool:
+    def fail_safely(self, act: Callable[[], None]) -> bool:
         """Do something; a failure is this request's answer. Return whether it went well."""
         try:
             act()
@@ -103,10 +103,10 @@ class _Member(Generic[T]):
 
 
 @dataclass(eq=False)
-class _Together:
+class _Batch:
     """Requests whose states are the rows of one state, in their order."""
 
-    members: list[_Member[Any]]
+    members: list[_Request[Any]]
     state: Arrays
 
     @property
@@ -114,7 +114,7 @@ class _Together:
         """Forecasts in it."""
         return sum(member.rows for member in self.members)
 
-    def join(self, others: "_Together") -> None:
+    def join(self, others: "_Batch") -> None:
         """Take others in."""
         if self.members:
             known, new = self.state, others.state
@@ -123,7 +123,7 @@ class _Together:
             self.state = others.state
         self.members = [*self.members, *others.members]
 
-    def take(self, outputs: Outputs) -> list[_Member[Any]]:
+    def take(self, outputs: Outputs) -> list[_Request[Any]]:
         """Give every member its rows of a step's outputs; return those that have ended, let go."""
         shares = zip(self.members, self._shares(outputs), strict=True)
         going_on = [member for member, share in shares if member.take(share)]
@@ -131,7 +131,7 @@ class _Together:
         self.keep([member for member in going_on if not member.ended])
         return ended
 
-    def keep(self, kept: list[_Member[Any]]) -> None:
+    def keep(self, kept: list[_Request[Any]]) -> None:
         """Let go of all other members."""
         if len(kept) == len(self.members):
             return
@@ -160,19 +160,19 @@ class _Rollout:
 
     predictor: Predictor
     count: Callable[[float], None]
-    here: _Together = field(default_factory=lambda: _Together([], {}))
-    arrivals: list[_Together] = field(default_factory=list[_Together])
+    here: _Batch = field(default_factory=lambda: _Batch([], {}))
+    pending: list[_Batch] = field(default_factory=list[_Batch])
     led: bool = False
 
     @property
     def rows(self) -> int:
         """Forecasts in it, those that join with the next step included."""
-        return self.here.rows + sum(arrived.rows for arrived in self.arrivals)
+        return self.here.rows + sum(arrived.rows for arrived in self.pending)
 
-    def advance(self) -> list[_Member[Any]]:
+    def advance(self) -> list[_Request[Any]]:
         """Step all that somebody waits for; return those that have ended."""
         here = self.here
-        here.keep([m for m in here.members if m.guarded(m.patience.check)])
+        here.keep([m for m in here.members if m.fail_safely(m.token.raise_if_cancelled)])
         if not here.members:
             return []
         self.count(here.rows)
@@ -213,14 +213,14 @@ class Scheduler:
         batches: Callable[[Predictor], Callable[[float], None]],
         siblings: Siblings | None = None,
     ) -> None:
-        self._places = Places(capacity, shown)
+        self._admission = AdmissionLimit(capacity, shown)
         self._max_batch = max_batch
         self._batches = batches
         self._siblings = siblings
         self._closed = False
-        self._waiting: deque[_Member[Any]] = deque()
+        self._waiting: deque[_Request[Any]] = deque()
         self._rollouts: dict[Predictor, _Rollout] = {}
-        self._ended: deque[_Member[Any]] = deque()
+        self._ended: deque[_Request[Any]] = deque()
         self._lock = threading.Lock()
         self._resting: list[threading.Semaphore] = []
         self._threads = [
@@ -233,9 +233,9 @@ class Scheduler:
     @property
     def idle(self) -> bool:
         """Whether it holds no request."""
-        return self._places.idle
+        return self._admission.idle
 
-    def submit(self, job: Job[T], patience: Patience) -> Future[T]:
+    def submit(self, job: Job[T], token: CancellationToken) -> Future[T]:
         """Take a request. Cancelled before its turn, it never begins.
 
         Raises
@@ -243,16 +243,16 @@ class Scheduler:
         QueueFullError
             When ``capacity`` requests are being held.
         """
-        self._places.take()
+        self._admission.acquire()
         future: Future[T] = Future()
         future.add_done_callback(self._release)
         with self._lock:
-            self._waiting.append(_Member(job, patience, future))
+            self._waiting.append(_Request(job, token, future))
             self._wake(1)
         return future
 
     def _release(self, _: Future[T]) -> None:
-        self._places.free()
+        self._admission.release()
 
     def close(self) -> None:
         """Let rollouts end, drop what waits."""
@@ -293,39 +293,39 @@ class Scheduler:
         if self._waiting and not full:
             room = self._max_batch - max((rollout.rows for rollout in free), default=0)
             members = self._next_waiting(room)
-            helped = self._a_core_rests()
-            return lambda: self._begin(members, helped)
+            two_cores = self._has_idle_peer()
+            return lambda: self._begin(members, two_cores)
         if not free:
             return None
         chosen = (full or free)[0]
         chosen.led = True
         return lambda: self._lead(chosen)
 
-    def _a_core_rests(self) -> bool:
+    def _has_idle_peer(self) -> bool:
         return bool(self._resting) or (self._siblings is not None and self._siblings.one_rests)
 
-    def _next_waiting(self, room: int) -> list[_Member[Any]]:
+    def _next_waiting(self, room: int) -> list[_Request[Any]]:
         """Take a thread's share of what waits, under the lock, but not more than there is room."""
         share = math.ceil(len(self._waiting) / len(self._threads))
         taken = [self._waiting.popleft() for _ in range(min(share, ENCODED_TOGETHER, room))]
         return [member for member in taken if member.future.set_running_or_notify_cancel()]
 
-    def _begin(self, members: list[_Member[Any]], helped: bool) -> None:
+    def _begin(self, members: list[_Request[Any]], two_cores: bool) -> None:
         """Encode the frames of some requests, those for one model in one batch.
 
         While a core rests it helps, so that a request alone is there sooner.
         """
-        by_model: dict[Predictor, list[tuple[_Member[Any], Seen]]] = defaultdict(list)
+        by_model: dict[Predictor, list[tuple[_Request[Any], DecodedRequest]]] = defaultdict(list)
         for member in members:
             seen = member.begin()
             if seen is not None:
                 by_model[seen.predictor].append((member, seen))
         for predictor, group in by_model.items():
-            together = _Together([member for member, _ in group], {})
+            together = _Batch([member for member, _ in group], {})
             parts = [seen.frames for _, seen in group]
             try:
                 frames = parts[0] if len(parts) == 1 else np.concatenate(parts)
-                step = predictor.encode(frames, helped=helped)
+                step = predictor.encode(frames, two_cores=two_cores)
             except BaseException as error:  # whatever the runtime raises
                 together.fail(error)
                 continue
@@ -335,20 +335,20 @@ class Scheduler:
             if together.members:
                 self._arrive(predictor, together)
 
-    def _arrive(self, predictor: Predictor, together: _Together) -> None:
+    def _arrive(self, predictor: Predictor, together: _Batch) -> None:
         """Let requests join the rollout of their model with its next step."""
         with self._lock:
             if predictor not in self._rollouts:
                 self._rollouts[predictor] = _Rollout(predictor, self._batches(predictor))
-            self._rollouts[predictor].arrivals.append(together)
+            self._rollouts[predictor].pending.append(together)
 
     def _lead(self, rollout: _Rollout) -> None:
         """Step a rollout until nobody is left in it, or nobody else can write its answers."""
         while True:
             with self._lock:
-                for arrived in rollout.arrivals:
+                for arrived in rollout.pending:
                     rollout.here.join(arrived)
-                rollout.arrivals = []
+                rollout.pending = []
                 if not rollout.here.members:
                     del self._rollouts[rollout.predictor]
                     return
@@ -356,11 +356,11 @@ class Scheduler:
             if ended and not self._hand_over(rollout, ended):
                 return
 
-    def _hand_over(self, rollout: _Rollout, ended: list[_Member[Any]]) -> bool:
+    def _hand_over(self, rollout: _Rollout, ended: list[_Request[Any]]) -> bool:
         """Leave answers to threads that rest; return whether the rollout is still to be led."""
         with self._lock:
             self._ended.extend(ended)
-            if self._resting and (rollout.here.members or rollout.arrivals):
+            if self._resting and (rollout.here.members or rollout.pending):
                 self._wake(len(ended))
                 return True
             # Who leads no more writes an answer next.

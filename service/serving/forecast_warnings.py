@@ -5,7 +5,7 @@ from jaxtyping import UInt8
 
 from rollcast.footage import RATE_TOLERANCE
 from rollcast.manifest import Manifest
-from rollcast.ood import Look, look
+from rollcast.ood import FrameStats, frame_stats
 from service.inference.rollout import Predictor
 
 
@@ -17,7 +17,7 @@ def doubts(
 ) -> list[str]:
     """Return every reason that there is for a forecast from some frames, so many a second."""
     manifest = predictor.manifest
-    seen = look(frames)
+    seen = frame_stats(frames)
     return [
         *_of_horizon(manifest, horizon),
         *_of_rate(manifest, frame_rate),
@@ -52,7 +52,7 @@ def _of_rate(manifest: Manifest, given: float) -> list[str]:
     ]
 
 
-def _of_stillness(seen: Look) -> list[str]:
+def _of_stillness(seen: FrameStats) -> list[str]:
     if not seen.is_still:
         return []
     return [
@@ -61,7 +61,7 @@ def _of_stillness(seen: Look) -> list[str]:
     ]
 
 
-def _of_looks(predictor: Predictor, seen: Look) -> list[str]:
+def _of_looks(predictor: Predictor, seen: FrameStats) -> list[str]:
     known, familiarity = predictor.manifest.unfamiliar, predictor.familiarity
     if known is None or familiarity is None:
         return []

@@ -50,7 +50,7 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Wish:
+class ModelQuery:
     """What a request asks of a model."""
 
     model: str = AUTO_MODEL
@@ -157,7 +157,7 @@ class Registry:
             raise ModelUnavailableError(f"{model.label} is {model.status}{why}")
         return model.predictor
 
-    def choose(self, wish: Wish) -> Predictor:
+    def choose(self, query: ModelQuery) -> Predictor:
         """Return the predictor for a request.
 
         Raises
@@ -171,44 +171,44 @@ class Registry:
         """
         if not self.served:
             raise NotReadyError("No usable model is loaded.")
-        if wish.model == AUTO_MODEL:
-            return self._choose_best(wish)
-        name, separator, version = wish.model.partition("@")
+        if query.model == AUTO_MODEL:
+            return self._choose_best(query)
+        name, separator, version = query.model.partition("@")
         predictor = self.predictor(name, version if separator else None)
-        _check_fit(predictor.manifest, wish)
+        _check_fit(predictor.manifest, query)
         return predictor
 
-    def _choose_best(self, wish: Wish) -> Predictor:
+    def _choose_best(self, query: ModelQuery) -> Predictor:
         """Apply the design's rule for "auto" to the default versions.
 
         A model for footage knows one set-up alone, so it is chosen where footage is asked for, or
         where nothing else forecasts so many balls (decision 0129).
         """
-        objects = wish.objects or 1
+        objects = query.objects or 1
         peers = [
             predictor
             for predictor in self.served
             if predictor.manifest.default and predictor.manifest.objects == objects
         ]
-        if wish.scenario is None:
+        if query.scenario is None:
             known = {scenario for peer in peers for scenario in peer.manifest.scenarios}
             scenarios = known - {"footage"} or known
         else:
-            scenarios = {wish.scenario}
+            scenarios = {query.scenario}
         suitable = [
             peer
             for peer in peers
             if scenarios <= set(peer.manifest.scenarios)
-            and (peer.manifest.final_step is not None) == wish.final_frame
-            and (wish.final_frame or peer.manifest.covariance.source == "predicted")
+            and (peer.manifest.final_step is not None) == query.final_frame
+            and (query.final_frame or peer.manifest.covariance.source == "predicted")
         ]
         if not suitable:
-            kind = "reads a final frame" if wish.final_frame else "predicts a covariance"
+            kind = "reads a final frame" if query.final_frame else "predicts a covariance"
             raise NoSuitableModelError.at(
                 "model",
                 AUTO_MODEL,
                 f"a model's name: none for objects {objects} and scenario "
-                f"{wish.scenario or 'unknown'} {kind}; served are {self._labels()}",
+                f"{query.scenario or 'unknown'} {kind}; served are {self._labels()}",
             )
         return min(suitable, key=lambda predictor: predictor.manifest.validation_error_px)
 
@@ -225,16 +225,16 @@ def _is_number(text: str) -> bool:
     return text.isascii() and text.isdigit() and len(text) <= 18
 
 
-def _check_fit(manifest: Manifest, wish: Wish) -> None:
-    if wish.objects not in (None, manifest.objects):
+def _check_fit(manifest: Manifest, query: ModelQuery) -> None:
+    if query.objects not in (None, manifest.objects):
         expected = f"{manifest.objects}, the number of balls of {manifest.label}"
-        raise InvalidValueError.at("objects", wish.objects, expected)
-    if wish.scenario is not None and wish.scenario not in manifest.scenarios:
+        raise InvalidValueError.at("objects", query.objects, expected)
+    if query.scenario is not None and query.scenario not in manifest.scenarios:
         expected = f"{' or '.join(manifest.scenarios)}, which {manifest.label} is made for"
-        raise InvalidValueError.at("scenario", wish.scenario, expected)
-    if wish.final_frame and manifest.final_step is None:
+        raise InvalidValueError.at("scenario", query.scenario, expected)
+    if query.final_frame and manifest.final_step is None:
         expected = f"none: {manifest.label} reads the observed frames alone"
         raise InvalidValueError.at("final_frame", "an image", expected)
-    if not wish.final_frame and manifest.final_step is not None:
+    if not query.final_frame and manifest.final_step is not None:
         expected = f"an image of step {manifest.final_step}, which {manifest.label} needs"
         raise InvalidValueError.at("final_frame", None, expected)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rollcast.ood import MOVED_LEVELS, Familiarity, Look, look, summed_up
+from rollcast.ood import MOVED_LEVELS, Familiarity, FrameStats, frame_stats, summed_up
 
 GREY = np.full((4, 128, 128, 3), 100, np.uint8)
 
@@ -19,27 +19,27 @@ def ball_at(*columns: int, size: int = 12) -> np.ndarray:
 
 def test_frames_at_rest_are_still_whatever_the_camera_adds():
     noise = np.random.default_rng(1).normal(0, 3, GREY.shape)
-    assert look(GREY).is_still
-    assert look((GREY + noise).round().astype(np.uint8)).is_still
-    assert look(GREY).largest_change == 0
+    assert frame_stats(GREY).is_still
+    assert frame_stats((GREY + noise).round().astype(np.uint8)).is_still
+    assert frame_stats(GREY).largest_change == 0
 
 
 @pytest.mark.parametrize("size", [4, 12, 28], ids=lambda size: f"{size} px")
 def test_a_ball_that_rolls_is_not_still(size):
-    seen = look(ball_at(40, 43, 46, 49, size=size))
+    seen = frame_stats(ball_at(40, 43, 46, 49, size=size))
     assert not seen.is_still
     assert seen.largest_change >= MOVED_LEVELS
 
 
 def test_a_final_frame_is_left_out():
     frames = ball_at(40, 43, 46, 49, 100)
-    np.testing.assert_array_equal(look(frames).texture, look(frames[:4]).texture)
+    np.testing.assert_array_equal(frame_stats(frames).texture, frame_stats(frames[:4]).texture)
 
 
 def test_the_thumbnail_is_the_mean_colour_of_its_cells():
     frames = np.zeros_like(GREY)
     frames[:, :16, 112:] = (255, 51, 0)
-    thumbnail = look(frames).thumbnail.reshape(8, 8, 3)
+    thumbnail = frame_stats(frames).thumbnail.reshape(8, 8, 3)
     np.testing.assert_allclose(thumbnail[0, 7], [1, 0.2, 0], atol=1e-6)
     assert np.count_nonzero(thumbnail) == 2
 
@@ -50,7 +50,9 @@ def test_the_texture_knows_neither_turns_nor_mirrors_beyond_its_fineness(number)
     turned = np.rot90(frames, number % 4, axes=(1, 2))
     turned = turned[:, :, ::-1] if number > 3 else turned
     np.testing.assert_allclose(
-        look(np.ascontiguousarray(turned)).texture[3:], look(frames).texture[3:], atol=1e-5
+        frame_stats(np.ascontiguousarray(turned)).texture[3:],
+        frame_stats(frames).texture[3:],
+        atol=1e-5,
     )
 
 
@@ -68,10 +70,10 @@ def familiarity() -> Familiarity:
     )
 
 
-def some_look(level: float) -> Look:
+def some_look(level: float) -> FrameStats:
     generator = np.random.default_rng(1)
     thumbnail = level + 0.01 * generator.normal(size=192)
-    return Look(thumbnail.astype(np.float32), np.zeros(7, np.float32), 10)
+    return FrameStats(thumbnail.astype(np.float32), np.zeros(7, np.float32), 10)
 
 
 def test_the_score_is_the_distance_from_the_nearest_kind(familiarity):
@@ -89,7 +91,7 @@ def test_the_score_is_the_distance_from_the_nearest_kind(familiarity):
 
 def test_what_the_components_leave_is_a_number_of_its_own(familiarity):
     basis = familiarity.thumbnail[0], familiarity.components[0]
-    along = Look(basis[0] + 0.3 * basis[1][1], np.zeros(7, np.float32), 0)
+    along = FrameStats(basis[0] + 0.3 * basis[1][1], np.zeros(7, np.float32), 0)
     np.testing.assert_allclose(summed_up(along, *basis)[:3], [0, 0.3, 0], atol=1e-6)
     assert summed_up(along, *basis)[3] == pytest.approx(np.log(1e-3), abs=0.01)
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from rollcast.perception_io import FINALS, PLACES, look
+from rollcast.perception_io import FINALS, PLACES, run_perception
 
 
 def brightness(wanted, seen):
@@ -17,7 +17,7 @@ def frames(*levels):
 
 def test_the_observed_frames_are_read_as_they_are():
     seen = frames((1, 2, 3, 4), (5, 6, 7, 8))
-    read = look(brightness, ["all"], seen)
+    read = run_perception(brightness, ["all"], seen)
     assert read["all"].tolist() == [[1, 2, 3, 4], [5, 6, 7, 8]]
 
 
@@ -28,7 +28,7 @@ def test_a_final_frame_is_seen_as_four_of_balls_at_rest():
         calls.append(seen["frames"][:, :, 0, 0, 0].tolist())
         return brightness(wanted, seen)
 
-    read = look(run, ["all", FINALS], frames((1, 2, 3, 4, 9), (5, 6, 7, 8, 10)))
+    read = run_perception(run, ["all", FINALS], frames((1, 2, 3, 4, 9), (5, 6, 7, 8, 10)))
     assert calls == [[[1, 2, 3, 4], [5, 6, 7, 8], 4 * [9], 4 * [10]]]
     assert read["all"].tolist() == [[1, 2, 3, 4], [5, 6, 7, 8]]
     assert read[FINALS].tolist() == [[9], [10]]

@@ -104,7 +104,7 @@ class AsyncClient(
         final_frame: Frame | None = None,
         final_step: int | None = None,
         objects: int | None = None,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'footage']] = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
     ) -> rollcast.client.results.Forecast
@@ -125,7 +125,7 @@ class AsyncClient(
     ) -> 'AsyncForecastStream'
     async def simulate(
         self,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield']] = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table']] = None,
         *,
         seed: int | None = None,
         objects: int | None = None,
@@ -178,7 +178,7 @@ class Client(
         final_frame: Frame | None = None,
         final_step: int | None = None,
         objects: int | None = None,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'footage']] = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
     ) -> rollcast.client.results.Forecast
@@ -199,7 +199,7 @@ class Client(
     ) -> 'ForecastStream'
     def simulate(
         self,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield']] = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table']] = None,
         *,
         seed: int | None = None,
         objects: int | None = None,
@@ -283,7 +283,7 @@ class Simulation(
         angular_velocities: jaxtyping.Float64[ndarray, 'objects steps 3'],
         times_s: jaxtyping.Float64[ndarray, 'steps'],
         radii_px: jaxtyping.Float64[ndarray, 'objects'],
-        colors: tuple[Literal['red', 'green', 'blue'], ...],
+        colors: tuple[Literal['red', 'green', 'blue', 'yellow', 'magenta', 'cyan', 'orange', 'white'], ...],
         scene: rollcast.scene.Scene,
         start_step: int,
         frame_size: tuple[int, int],

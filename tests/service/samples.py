@@ -122,7 +122,7 @@ class DotPredictor:
         self.manifest = manifest
         self.familiarity = familiarity
 
-    def encode(self, frames: np.ndarray, *, helped: bool = False) -> Step:
+    def encode(self, frames: np.ndarray, *, two_cores: bool = False) -> Step:
         positions = _centroids(frames)[:, :, None].repeat(self.manifest.objects, axis=2)
         step = self._step(positions[:, 3], positions[:, 3] - positions[:, 2])
         if self.manifest.final_step is None:

@@ -122,7 +122,7 @@ class VLstm(Learner[Batch]):
                 assert isinstance(ball, OneBall)
                 ball.encoder.load_imagenet(imagenet)
 
-    def loss(self, given: Batch, spent: float) -> Tensor:  # noqa: ARG002 - the same all the time
+    def loss(self, given: Batch, progress: float) -> Tensor:  # noqa: ARG002 - the same all the time
         """Squared errors of positions and angular velocities, as of the paper's own networks."""
         parts = [given["positions"] / HALF_FRAME_PX - 1]
         if self.sees_spin:

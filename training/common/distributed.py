@@ -41,16 +41,16 @@ def share() -> Share:
     return Share(distributed.get_rank(), distributed.get_world_size())
 
 
-def leads() -> bool:
+def is_main_process() -> bool:
     """Tell whether this process is the one that validates and writes."""
     return share().first == 0
 
 
-def leader_first(work: Callable[[], T]) -> T:
+def main_process_first(work: Callable[[], T]) -> T:
     """Let the leader do what leaves files behind, then all others, who find them."""
     if share().every == 1:
         return work()
-    if not leads():
+    if not is_main_process():
         distributed.barrier()
         return work()
     done = work()

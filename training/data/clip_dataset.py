@@ -37,7 +37,7 @@ from training.common.distributed import Share
 from training.common.settings import runs_folder
 from training.data.rest_height_map import MAP_CELLS
 from training.data.splits import Split
-from training.data.windows import Batch, Scenery, Symmetry, Window, collate
+from training.data.windows import Batch, SceneTargets, Symmetry, Window, collate
 
 SETUP_FILE = "setup.json"
 READER = 2
@@ -137,7 +137,7 @@ class Clips:
                     found.append(Place(index, first))
         return found
 
-    def window(self, place: Place, horizon: int, *, scenery: bool = False) -> Window:
+    def window(self, place: Place, horizon: int, *, scene_targets: bool = False) -> Window:
         """Cut the window that begins at a place; its angular velocities are not known."""
         clip = self.clips[place.clip]
         last = place.start + FIRST_FORECAST_FRAME + horizon
@@ -147,7 +147,7 @@ class Clips:
             np.asarray(clip.frames[place.start : place.start + OBSERVED_FRAMES]),
             steps,
             np.full((*steps.shape[:2], 3), np.nan),
-            _scenery(tracked) if scenery else None,
+            _scene_targets(tracked) if scene_targets else None,
         )
 
     def history(self, place: Place, frames: int) -> Float[np.ndarray, "balls frames 2"]:
@@ -170,7 +170,7 @@ class ClipStream(IterableDataset[Batch]):
         seed: int,
         first_batch: int,
         *,
-        scenery: bool = False,
+        scene_targets: bool = False,
         share: Share | None = None,
     ) -> None:
         self._clips = clips
@@ -183,7 +183,7 @@ class ClipStream(IterableDataset[Batch]):
         self._batch_size = batch_size
         self._seed = seed
         self._first_batch = first_batch
-        self._scenery = scenery
+        self._scene_targets = scene_targets
         self._share = share or Share()
 
     def __iter__(self) -> Iterator[Batch]:
@@ -208,7 +208,9 @@ class ClipStream(IterableDataset[Batch]):
             number += stride
 
     def _window(self, row: int) -> Window:
-        return self._clips.window(self._places[row], self._horizon, scenery=self._scenery)
+        return self._clips.window(
+            self._places[row], self._horizon, scene_targets=self._scene_targets
+        )
 
 
 def load_clips(folder: Path) -> dict[Split, list[Clip]]:
@@ -388,9 +390,9 @@ def _in_other_light(window: Window, factors: Float[np.ndarray, "3"]) -> Window:
     return window._replace(frames=brightened.round().astype(np.uint8))
 
 
-def _scenery(positions: Float[np.ndarray, "balls frames 2"]) -> Scenery:
-    """Return what tracks tell of a scenery: centres as seen from above; NaN is not known."""
+def _scene_targets(positions: Float[np.ndarray, "balls frames 2"]) -> SceneTargets:
+    """Return what tracks tell of the scene: centres as seen from above; NaN where unknown."""
     heights = np.full((*positions.shape[:2], 1), np.nan)
     centres = np.concatenate([positions * (2 / NETWORK_FRAME_SIZE) - 1, heights], axis=-1)
     unknown = np.full((3, MAP_CELLS, MAP_CELLS), np.nan)
-    return Scenery(centres, unknown, np.full(2, np.nan))
+    return SceneTargets(centres, unknown, np.full(2, np.nan))

@@ -18,7 +18,7 @@ from training.data.rest_height_map import resting_ground
 from training.data.shards import load_recordings
 
 
-class Survey(NamedTuple):
+class SceneCache(NamedTuple):
     """Of every scene, in order."""
 
     empty: UInt8[np.ndarray, "scenes 128 128 3"]
@@ -27,26 +27,26 @@ class Survey(NamedTuple):
     """See :func:`training.data.rest_height_map.resting_ground`."""
 
 
-def survey(shards: Sequence[Path], workers: int) -> Survey:
-    """Survey every scene of some shards; what was made is kept beside them."""
+def load_scene_cache(shards: Sequence[Path], workers: int) -> SceneCache:
+    """Compute and keep the cache of every scene of some shards; results are kept beside them."""
     missing = [shard for shard in shards if not all(file.exists() for file in _files(shard))]
     if missing:
         with multiprocessing.get_context("spawn").Pool(workers) as pool:
-            done = pool.imap_unordered(_survey_shard, missing)
-            for _ in tqdm(done, total=len(missing), desc="survey", unit="shard"):
+            done = pool.imap_unordered(_cache_shard, missing)
+            for _ in tqdm(done, total=len(missing), desc="scene_cache", unit="shard"):
                 pass
     kept = [[np.load(file) for file in _files(shard)] for shard in shards]
-    return Survey(*(np.concatenate(parts) for parts in zip(*kept, strict=True)))
+    return SceneCache(*(np.concatenate(parts) for parts in zip(*kept, strict=True)))
 
 
 def _files(shard: Path) -> list[Path]:
-    """Files of a shard's survey, one a field."""
-    return [shard.with_suffix(f".{name}.npy") for name in Survey._fields]
+    """Files of a shard's scene cache, one a field."""
+    return [shard.with_suffix(f".{name}.npy") for name in SceneCache._fields]
 
 
-def _survey_shard(shard: Path) -> None:
+def _cache_shard(shard: Path) -> None:
     scenes = [recording.scene for recording in load_recordings([shard])]
-    made = Survey(
+    made = SceneCache(
         np.stack([
             Renderer(scene, camera_for(scene.scenario, NETWORK_FRAME_SIZE)).empty
             for scene in scenes

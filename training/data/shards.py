@@ -40,7 +40,7 @@ SHARDS_PER_WORKER = 4
 
 
 @dataclass(frozen=True)
-class Change:
+class SceneOverride:
     """What sets scenes apart from those that networks are trained on.
 
     Attributes
@@ -75,32 +75,32 @@ class Source:
     scenario: Scenario
     objects: int = 1
     radius_m: float | None = None
-    change: Change | None = None
+    override: SceneOverride | None = None
 
     @property
     def name(self) -> str:
         """Folder name of the source."""
         radius = "" if self.radius_m is None else f"-r{self.radius_m}"
-        change = "" if self.change is None else f"-{self.change.name.replace(' ', '-')}"
+        change = "" if self.override is None else f"-{self.override.name.replace(' ', '-')}"
         return f"{self.scenario}-{self.objects}{radius}{change}"
 
     @property
     def parameters(self) -> dict[str, object]:
         """Fields of its scenes that are fixed."""
         radius: dict[str, object] = {} if self.radius_m is None else {"radius_m": self.radius_m}
-        return radius | dict(() if self.change is None else self.change.parameters)
+        return radius | dict(() if self.override is None else self.override.parameters)
 
     def sequence(self, simulator: Simulator, seed: int) -> Simulated | None:
         """Simulate one of its scenes; None when a rule rejects what is unusual about it."""
         draw = partial(simulator.sequence, self.scenario, self.objects, seed)
         parameters = self.parameters
-        if self.change is None:
+        if self.override is None:
             return draw(STORED_FRAMES, 0, parameters)
         try:
-            if self.change.speed != 1:
+            if self.override.speed != 1:
                 usual = draw(1, 0, parameters).scene
                 parameters |= usual.model_dump(include={"positions_m", "orientations_xyzw"})
-                velocities = self.change.speed * np.array(usual.velocities_m_s)
+                velocities = self.override.speed * np.array(usual.velocities_m_s)
                 parameters["velocities_m_s"] = velocities.tolist()
             return draw(STORED_FRAMES, 0, parameters)
         except SceneRejectedError:

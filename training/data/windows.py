@@ -18,7 +18,7 @@ from rollcast.simulation.recording import TEST_START
 from rollcast.simulation.rendering import Renderer
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.common.distributed import Share
-from training.data.scene_cache import Survey
+from training.data.scene_cache import SceneCache
 from training.data.shards import STORED_FRAMES, Recording
 from training.networks.perception import measures_of
 from training.networks.recurrent import Sight
@@ -43,7 +43,7 @@ LAST_START = STORED_FRAMES - FIRST_FORECAST_FRAME - MAX_HORIZON
 """Last frame of a stored simulation at which such a window can begin."""
 
 
-class Scenery(NamedTuple):
+class SceneTargets(NamedTuple):
     """What a network with an explicit state learns to read besides.
 
     Halves of the frame in image axes (x right, y down, z towards the camera).
@@ -64,7 +64,7 @@ class Window(NamedTuple):
     """Empty where nothing is to be seen."""
     positions: Float[np.ndarray, "objects steps 2"]
     angular_velocities: Float[np.ndarray, "objects steps 3"]
-    scenery: Scenery | None = None
+    scene_targets: SceneTargets | None = None
 
 
 class Batch(TypedDict):
@@ -73,8 +73,8 @@ class Batch(TypedDict):
     frames: torch.Tensor
     positions: torch.Tensor
     angular_velocities: torch.Tensor
-    scenery: NotRequired[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]
-    """The fields of :class:`Scenery`."""
+    scene_targets: NotRequired[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]
+    """The fields of :class:`SceneTargets`."""
     practice: NotRequired["Batch"]
     """More windows without frames."""
     sight: NotRequired[Sight]
@@ -92,7 +92,7 @@ class Symmetry:
     mirror: bool
 
     def apply(self, window: Window) -> Window:
-        """Transform frames, positions, angular velocities and scenery alike.
+        """Transform frames, positions, angular velocities and scene targets alike.
 
         Angular velocity is a pseudo-vector: a mirror in x keeps its x and flips its y and z.
         """
@@ -107,18 +107,25 @@ class Symmetry:
             frames = frames[:, :, ::-1]
             positions = positions * np.array([-1, 1])
             spin = spin * np.array([1, -1, -1])
-        scenery = None if window.scenery is None else self._apply_to_scenery(window.scenery)
-        return Window(frames, positions + NETWORK_FRAME_SIZE / 2, spin, scenery)
+        scene_targets = (
+            None
+            if window.scene_targets is None
+            else self._apply_to_scene_targets(window.scene_targets)
+        )
+        return Window(frames, positions + NETWORK_FRAME_SIZE / 2, spin, scene_targets)
 
-    def _apply_to_scenery(self, scenery: Scenery) -> Scenery:
-        centres, ground = scenery.centres, np.rot90(scenery.ground, self.quarter_turns, axes=(1, 2))
+    def _apply_to_scene_targets(self, scene_targets: SceneTargets) -> SceneTargets:
+        centres, ground = (
+            scene_targets.centres,
+            np.rot90(scene_targets.ground, self.quarter_turns, axes=(1, 2)),
+        )
         for _ in range(self.quarter_turns):
             centres = np.stack([centres[..., 1], -centres[..., 0], centres[..., 2]], axis=-1)
             ground = np.stack([ground[1], -ground[0], ground[2]])
         if self.mirror:
             centres = centres * np.array([-1, 1, 1])
             ground = ground[:, :, ::-1] * np.array([-1, 1, 1])[:, None, None]
-        return Scenery(centres, ground, scenery.measures)
+        return SceneTargets(centres, ground, scene_targets.measures)
 
 
 class WindowMaker:
@@ -128,24 +135,24 @@ class WindowMaker:
     ----------
     final_step
         Forecast step that a fifth frame shows; None leaves that frame out.
-    survey
+    scene_cache
         Of the recordings; without it every scene is shaded when it is first seen.
-    scenery
-        Whether windows have scenery, which needs a survey.
+    scene_targets
+        Whether windows have scene targets, which needs a scene cache.
     """
 
     def __init__(
         self,
         recordings: Sequence[Recording],
         final_step: int | None,
-        survey: Survey | None = None,
+        scene_cache: SceneCache | None = None,
         *,
-        scenery: bool = False,
+        scene_targets: bool = False,
     ) -> None:
         self._recordings = recordings
         self._final_step = final_step
-        self._survey = survey
-        self._grounds = survey.ground if scenery and survey is not None else None
+        self._scene_cache = scene_cache
+        self._grounds = scene_cache.ground if scene_targets and scene_cache is not None else None
         self._renderers: dict[int, Renderer] = {}
 
     def window(self, index: int, start: int, horizon: int, *, seen: bool = True) -> Window:
@@ -157,14 +164,14 @@ class WindowMaker:
             self._frames(index, start) if seen else np.empty((0, *FRAME_SHAPE), np.uint8),
             camera.project(steps.positions_m).swapaxes(0, 1),
             steps.angular_velocities_rad_s.swapaxes(0, 1),
-            self._scenery(index, start, horizon),
+            self._scene_targets(index, start, horizon),
         )
 
     def _frames(self, index: int, start: int) -> UInt8[np.ndarray, "seen 128 128 3"]:
         scene, trajectory = self._recordings[index].scene, self._recordings[index].trajectory
         if index not in self._renderers:
             camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
-            empty = None if self._survey is None else self._survey.empty[index]
+            empty = None if self._scene_cache is None else self._scene_cache.empty[index]
             self._renderers[index] = Renderer(scene, camera, empty)
         frames = self._renderers[index].render(trajectory.window(start, OBSERVED_FRAMES))
         if self._final_step is None:
@@ -172,14 +179,14 @@ class WindowMaker:
         last = trajectory.window(start + FIRST_FORECAST_FRAME + self._final_step, 1)
         return np.concatenate([frames, self._renderers[index].render(last)])
 
-    def _scenery(self, index: int, start: int, horizon: int) -> Scenery | None:
+    def _scene_targets(self, index: int, start: int, horizon: int) -> SceneTargets | None:
         if self._grounds is None:
             return None
         scene, trajectory = self._recordings[index].scene, self._recordings[index].trajectory
         half_width = camera_for(scene.scenario, NETWORK_FRAME_SIZE).half_width_m
         centres = trajectory.window(start, FIRST_FORECAST_FRAME + horizon).positions_m
         centres = centres.swapaxes(0, 1) * (np.array([1, -1, 1]) / half_width)
-        return Scenery(centres, self._grounds[index], measures_of(half_width, scene.radius_m))
+        return SceneTargets(centres, self._grounds[index], measures_of(half_width, scene.radius_m))
 
 
 class _Drawn(NamedTuple):
@@ -202,14 +209,14 @@ class TrainingStream(IterableDataset[Batch]):
         For every group, the last frame at which a window may begin.
     final_step
         Forecast step that a fifth frame shows; None leaves that frame out.
-    surveys
+    scene_caches
         One for every group.
     practice
         Windows without frames beside every batch.
     seen
         Whether the windows have frames.
-    scenery
-        Whether they have scenery.
+    scene_targets
+        Whether they have scene targets.
     share
         The rows of every batch that are made.
     """
@@ -223,11 +230,11 @@ class TrainingStream(IterableDataset[Batch]):
         batch_size: int,
         seed: int,
         first_batch: int,
-        surveys: Sequence[Survey],
+        scene_caches: Sequence[SceneCache],
         practice: int = 0,
         *,
         seen: bool = True,
-        scenery: bool = False,
+        scene_targets: bool = False,
         share: Share | None = None,
     ) -> None:
         if max(latest_starts) > LAST_START:
@@ -235,8 +242,8 @@ class TrainingStream(IterableDataset[Batch]):
                 f"latest_start is {max(latest_starts)}; at most {LAST_START} is stored"
             )
         self._makers = [
-            WindowMaker(group, final_step, survey, scenery=scenery)
-            for group, survey in zip(groups, surveys, strict=True)
+            WindowMaker(group, final_step, scene_cache, scene_targets=scene_targets)
+            for group, scene_cache in zip(groups, scene_caches, strict=True)
         ]
         self._practice = practice
         self._seen = seen
@@ -302,10 +309,10 @@ def collate(windows: Sequence[Window]) -> Batch:
         positions=_float32([window.positions for window in windows]),
         angular_velocities=_float32([window.angular_velocities for window in windows]),
     )
-    sceneries = [window.scenery for window in windows if window.scenery is not None]
-    if sceneries:
-        centres, grounds, scales = zip(*sceneries, strict=True)
-        batch["scenery"] = (_float32(centres), _float32(grounds), _float32(scales))
+    scene_targets = [window.scene_targets for window in windows if window.scene_targets is not None]
+    if scene_targets:
+        centres, grounds, scales = zip(*scene_targets, strict=True)
+        batch["scene_targets"] = (_float32(centres), _float32(grounds), _float32(scales))
     return batch
 
 

@@ -27,16 +27,16 @@ class Objective:
         self.family = family
         self.device = device
 
-    def loss(self, batch: Batch, spent: float) -> torch.Tensor:
-        """Loss of a batch when a share ``spent`` of the budget is gone."""
+    def loss(self, batch: Batch, progress: float) -> torch.Tensor:
+        """Loss of a batch when a share ``progress`` of the budget is gone."""
         recipe = self.recipe
-        horizon = horizon_at(recipe.curriculum, spent)
+        horizon = horizon_at(recipe.curriculum, progress)
         forecasts = self._forecasts(batch, horizon)
         loss = self._forecast_loss(forecasts, batch, horizon)
         loss = loss + self._reading_loss(forecasts, batch)
         if "practice" in batch:
             assert recipe.explicit is not None
-            practised = horizon_at(recipe.explicit.curriculum, spent)
+            practised = horizon_at(recipe.explicit.curriculum, progress)
             loss = loss + self._practice_loss(batch["practice"], practised)
         return loss
 
@@ -80,16 +80,18 @@ class Objective:
         explicit = self.recipe.explicit
         if explicit is None or explicit.reading is None:
             return 0.0
-        scenery = self._scenery(batch)
+        scene_targets = self._scene_targets(batch)
         readings = {id(made.reading): made.reading for made in forecasts.values()}
-        losses = [explicit.reading(reading, scenery) for reading in readings.values() if reading]
+        losses = [
+            explicit.reading(reading, scene_targets) for reading in readings.values() if reading
+        ]
         return sum(losses, start=0.0)
 
     def _practice_loss(self, batch: Batch, horizon: int) -> torch.Tensor:
         """Loss of forecasts that begin with the truth instead of frames."""
         recipe, explicit = self.recipe, self.recipe.explicit
         assert explicit is not None
-        centres, ground, measures = self._scenery(batch)
+        centres, ground, measures = self._scene_targets(batch)
         spins = batch["angular_velocities"][:, :, :horizon].to(self.device)
         start = true_state(centres[:, :, :OBSERVED_FRAMES], spins[:, :, 0], ground, measures)
         if isinstance(self.family, SightedFamily):
@@ -109,9 +111,9 @@ class Objective:
             loss = loss + explicit.motion(moved, truth) + recipe.spin_loss(turning, spins)
         return loss
 
-    def _scenery(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        assert "scenery" in batch
-        centres, ground, measures = batch["scenery"]
+    def _scene_targets(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        assert "scene_targets" in batch
+        centres, ground, measures = batch["scene_targets"]
         return centres.to(self.device), ground.to(self.device), measures.to(self.device)
 
 

@@ -16,7 +16,7 @@ from tqdm import tqdm
 from training.common import distributed
 from training.data.clip_dataset import Clips, ClipStream
 from training.data.feature_cache import read_windows, rehearsed, save_whole
-from training.data.scene_cache import survey
+from training.data.scene_cache import load_scene_cache
 from training.data.shards import Source, load_recordings, simulate_split
 from training.data.splits import Split
 from training.data.windows import Batch, TrainingStream, Window, compared_horizon, fixed_windows
@@ -43,7 +43,7 @@ SHARED_WARM_UP = 0.02
 
 
 @dataclass(frozen=True)
-class Pace:
+class TrainerConfig:
     """How often things happen, in batches, and how many processes serve the training."""
 
     validate_every: int = 500
@@ -72,14 +72,14 @@ class Trainer:
         self,
         recipe: Recipe,
         folder: Path,
-        pace: Pace | None = None,
+        config: TrainerConfig | None = None,
         initial: Sequence[Initial] = (),
         clips: Mapping[Split, Clips] | None = None,
     ) -> None:
         torch.manual_seed(recipe.seed)
         self.recipe = recipe
         self.folder = folder
-        self._pace = pace or Pace()
+        self._config = config or TrainerConfig()
         self._clips = clips
         self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         self.family = recipe.build()
@@ -147,9 +147,9 @@ class Trainer:
         self.folder.mkdir(parents=True, exist_ok=True)
         self._resume()
         recipe = self.recipe
-        stream = iter(distributed.leader_first(self._stream))
+        stream = iter(distributed.main_process_first(self._stream))
         total = self._batches_in_all
-        if not distributed.leads():
+        if not distributed.is_main_process():
             while self.batches < total and not self._schedule.finished:
                 self._step(next(stream), self.batches / total)
             return math.inf
@@ -163,9 +163,9 @@ class Trainer:
                 progress.set_postfix(loss=f"{loss:.2f}", best=f"{self._best_error:.2f} px")
                 events.add_scalar(LOSS, loss, self.sequences)
             ended = self.batches == total or self._schedule.finished
-            if self.batches % self._pace.validate_every == 0 or ended:
+            if self.batches % self._config.validate_every == 0 or ended:
                 self._validate(windows, events)
-            if time.monotonic() - self._checkpoint_time > self._pace.checkpoint_seconds:
+            if time.monotonic() - self._checkpoint_time > self._config.checkpoint_seconds:
                 self._save_checkpoint()
         self._save_checkpoint()
         events.close()
@@ -201,7 +201,7 @@ class Trainer:
 
         See :class:`TrainingStream`.
         """
-        recipe, simulators = self.recipe, self._pace.simulators
+        recipe, simulators = self.recipe, self._config.simulators
         if self._clips is not None:
             stream = ClipStream(
                 self._clips["training"],
@@ -209,7 +209,7 @@ class Trainer:
                 batch_size,
                 recipe.seed,
                 first_batch,
-                scenery=recipe.explicit is not None,
+                scene_targets=recipe.explicit is not None,
                 share=share or distributed.share(),
             )
         else:
@@ -225,32 +225,32 @@ class Trainer:
                 batch_size,
                 recipe.seed,
                 first_batch=first_batch,
-                surveys=[survey(of_source, simulators) for of_source in shards],
+                scene_caches=[load_scene_cache(of_source, simulators) for of_source in shards],
                 practice=practice,
                 seen=seen,
-                scenery=recipe.explicit is not None,
+                scene_targets=recipe.explicit is not None,
                 share=share or distributed.share(),
             )
         loader = DataLoader(
             stream,
             batch_size=None,
-            num_workers=self._pace.workers,
-            prefetch_factor=4 if self._pace.workers else None,
+            num_workers=self._config.workers,
+            prefetch_factor=4 if self._config.workers else None,
             worker_init_fn=_give_way,
         )
         return iter(loader)
 
-    def _step(self, batch: Batch, spent: float) -> float:
+    def _step(self, batch: Batch, progress: float) -> float:
         recipe = self.recipe
         self.family.train()
         shared, motion, rest = self._optimiser.param_groups
-        rate = recipe.learning_rate * self._schedule.factor(spent)
+        rate = recipe.learning_rate * self._schedule.factor(progress)
         rest["lr"] = rate
         motion["lr"] = rate * (recipe.explicit.motion_rate if recipe.explicit else 1.0)
-        shared["lr"] = rate * shared_factor(spent, recipe.heads_alone)
+        shared["lr"] = rate * shared_factor(progress, recipe.heads_alone)
         for parameter in shared["params"]:
-            parameter.requires_grad_(spent >= recipe.heads_alone)
-        loss = self._objective.loss(batch, spent)
+            parameter.requires_grad_(progress >= recipe.heads_alone)
+        loss = self._objective.loss(batch, progress)
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
         distributed.average_gradients(self.family.parameters())
@@ -280,7 +280,7 @@ class Trainer:
     def _validation_windows(self) -> dict[str, list[Window]]:
         """Windows of the validation split by what they show."""
         if self._clips is None:
-            return validation_windows(self.recipe, self._pace.simulators)
+            return validation_windows(self.recipe, self._config.simulators)
         clips, horizon = self._clips["validation"], self.recipe.trained_horizon
         places = clips.places(horizon, every=VALIDATION_STRIDE)
         return {"footage": [clips.window(place, horizon) for place in places]}
@@ -391,6 +391,6 @@ def warmed_average(decay: float) -> Callable[..., None]:
     return update
 
 
-def shared_factor(spent: float, heads_alone: float) -> float:
+def shared_factor(progress: float, heads_alone: float) -> float:
     """Factor on the shared parameters' rate: it rises once the heads have learned alone."""
-    return min(max((spent - heads_alone) / SHARED_WARM_UP, 0.0), 1.0) if heads_alone else 1.0
+    return min(max((progress - heads_alone) / SHARED_WARM_UP, 0.0), 1.0) if heads_alone else 1.0

@@ -11,7 +11,7 @@ import torch
 
 from rollcast.simulation.recording import TEST_START
 from rollcast.trajectory import OBSERVED_FRAMES
-from training.data.scene_cache import survey
+from training.data.scene_cache import load_scene_cache
 from training.data.shards import Source, load_recordings, simulate_split
 from training.data.windows import WindowMaker, collate, compared_horizon, generated_horizon
 from training.networks.fieldnet import Ball, FieldNet, true_state
@@ -34,12 +34,14 @@ def dissected(
 ) -> dict[str, np.ndarray]:
     """Return the mean error in pixels at every step up to T_gen for each of SUBSTITUTES."""
     shards = simulate_split(source, "validation", scenes, workers)
-    maker = WindowMaker(load_recordings(shards), None, survey(shards, workers), scenery=True)
+    maker = WindowMaker(
+        load_recordings(shards), None, load_scene_cache(shards, workers), scene_targets=True
+    )
     horizon = generated_horizon(source.objects)
     start = TEST_START[source.scenario]
     batch = collate([maker.window(index, start, horizon) for index in range(scenes)])
-    assert "scenery" in batch
-    centres, ground, measures = batch["scenery"]
+    assert "scene_targets" in batch
+    centres, ground, measures = batch["scene_targets"]
     with torch.inference_mode():
         seen = network.start(batch["frames"])
         spins = batch["angular_velocities"][:, :, 0]

@@ -178,7 +178,7 @@ def export(
 
 
 @dataclass(frozen=True)
-class Judged:
+class EvaluationSummary:
     """What a manifest says of a model's forecasts."""
 
     covariance: CovarianceSource
@@ -191,7 +191,7 @@ def judge(
     validation: Sequence[EvaluationSet[Shown]],
     test: Sequence[EvaluationSet[Shown]],
     horizon: int,
-) -> Judged:
+) -> EvaluationSummary:
     """Fit a model's covariances on the validation split, and measure it on both.
 
     Parameters
@@ -211,7 +211,7 @@ def judge(
         for row in rows
         if row.split == "validation" and row.horizon == compared
     ]
-    return Judged(covariance, tuple(rows), round(float(np.mean(errors)), 4))
+    return EvaluationSummary(covariance, tuple(rows), round(float(np.mean(errors)), 4))
 
 
 def _spread(sets: Sequence[EvaluationSet[Shown]], windows: int) -> list[Window]:

@@ -15,7 +15,7 @@ from training.engine.trainer import BEST
 from training.evaluation.evaluate import EvaluationSet
 from training.export.export import export
 from training.export.ood_fit import familiarise_clips
-from training.export.spec import Filmed, Trained
+from training.export.spec import FootageSpec, Trained
 from training.recipes.recipe import Recipe
 from training.recipes.rig import T_GEN
 
@@ -67,7 +67,7 @@ def evaluation_set(clips: Clips, split: Split) -> EvaluationSet:
     return EvaluationSet("footage", split, windows, polynomial(history, 1, T_GEN))
 
 
-def _filmed(clips: Clips) -> Filmed:
+def _filmed(clips: Clips) -> FootageSpec:
     """Return what a model tells of its footage; cameras of one set-up are set up alike."""
     first = clips.clips[0]
     windows = {clip.name: 0 for clip in clips.clips}
@@ -75,4 +75,4 @@ def _filmed(clips: Clips) -> Filmed:
         windows[clips.clips[place.clip].name] += 1
     crop = (first.crop.x, first.crop.y, first.crop.size)
     rate = float(np.median([clip.frame_rate for clip in clips.clips]))
-    return Filmed(Rig(colors=clips.colors, crop=crop), round(rate, 3), windows)
+    return FootageSpec(Rig(colors=clips.colors, crop=crop), round(rate, 3), windows)

@@ -22,7 +22,7 @@ from rollcast.manifest import (
     STEP_FILE,
     OutputName,
 )
-from rollcast.perception_io import FINALS, PLACES, look
+from rollcast.perception_io import FINALS, PLACES, run_perception
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.common.settings import keep_runtime_silent
 from training.export.weight_rounding import rename, store_in_bytes
@@ -198,7 +198,7 @@ class Graphs:
         """Forecast the steps 0..horizon-1 of frames: outputs [B, N, T, ...] by name."""
         seen = {FRAMES_INPUT: frames}
         if self._eye is not None:
-            seen = look(self._eye.run, self._read, frames)
+            seen = run_perception(self._eye.run, self._read, frames)
         values = self._encoder.run([*STATE_NAMES, *self._outputs], seen)
         state, first = values[: len(STATE_NAMES)], values[len(STATE_NAMES) :]
         rows: dict[OutputName, list[np.ndarray]] = {

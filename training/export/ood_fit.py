@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rollcast.manifest import FAMILIARITY_FILE, MANIFEST_FILE, Manifest, Unfamiliar
-from rollcast.ood import Familiarity, Look, look, summed_up
+from rollcast.ood import Familiarity, FrameStats, frame_stats, summed_up
 from rollcast.scene import SMALL_RADIUS_M, Scenario
 from training.data.clip_dataset import Clips
 from training.data.shards import Source, load_recordings, simulate_split
@@ -48,8 +48,12 @@ def familiarise(folders: Sequence[Path], scenes: int, workers: int) -> list[Mani
     written: list[Manifest] = []
     for kind, alike in sorted(kinds.items()):
         sources = _sources(*kind)
-        familiarity = fit([looks(source, "training", scenes, workers) for source in sources])
-        known = [one for s in sources for one in looks(s, "validation", scenes, workers)]
+        familiarity = fit(
+            [source_frame_stats(source, "training", scenes, workers) for source in sources]
+        )
+        known = [
+            one for s in sources for one in source_frame_stats(s, "validation", scenes, workers)
+        ]
         fresh = [one for s in sources for one in fixed_looks(s, workers)]
         unfamiliar = judge(familiarity, known, fresh)
         written += [keep(familiarity, unfamiliar, folder) for folder in alike]
@@ -64,8 +68,10 @@ def _sources(scenarios: Sequence[Scenario], objects: int) -> list[Source]:
     return sources
 
 
-def judge(familiarity: Familiarity, known: Sequence[Look], fresh: Sequence[Look]) -> Unfamiliar:
-    """Choose the threshold on some looks, and count on others how often it is passed."""
+def judge(
+    familiarity: Familiarity, known: Sequence[FrameStats], fresh: Sequence[FrameStats]
+) -> Unfamiliar:
+    """Choose the threshold on known frames; count how often fresh ones exceed it."""
     scores = [familiarity.score(one) for one in known]
     threshold = round(float(np.quantile(scores, 1 - FALSE_ALARMS)), 3)
     alarms = [familiarity.score(one) > threshold for one in fresh]
@@ -82,8 +88,10 @@ def familiarise_clips(folder: Path, clips: Mapping[Split, Clips]) -> Manifest:
     Windows begin every few frames of the training clips, under any of the square's symmetries; the
     threshold is chosen on the validation clips, the false alarms are counted on the test clips.
     """
-    fitted = fit([clip_looks(clips["training"], symmetric=True)])
-    known, fresh = (clip_looks(clips[split], symmetric=False) for split in ("validation", "test"))
+    fitted = fit([clip_frame_stats(clips["training"], symmetric=True)])
+    known, fresh = (
+        clip_frame_stats(clips[split], symmetric=False) for split in ("validation", "test")
+    )
     return keep(fitted, judge(fitted, known, fresh), folder)
 
 
@@ -97,13 +105,13 @@ def keep(familiarity: Familiarity, unfamiliar: Unfamiliar, folder: Path) -> Mani
     return changed
 
 
-def fit(by_source: Sequence[Sequence[Look]]) -> Familiarity:
-    """Fit a Gaussian to every source's looks."""
+def fit(by_source: Sequence[Sequence[FrameStats]]) -> Familiarity:
+    """Fit a Gaussian to every source's frame statistics."""
     fitted = [_fit(seen) for seen in by_source]
     return Familiarity(*(np.stack(parts).astype(np.float32) for parts in zip(*fitted, strict=True)))
 
 
-def _fit(seen: Sequence[Look]) -> tuple[np.ndarray, ...]:
+def _fit(seen: Sequence[FrameStats]) -> tuple[np.ndarray, ...]:
     """Return the fields of a Familiarity for one source."""
     thumbnails = np.stack([one.thumbnail for one in seen])
     thumbnail = thumbnails.mean(axis=0)
@@ -115,35 +123,35 @@ def _fit(seen: Sequence[Look]) -> tuple[np.ndarray, ...]:
     return thumbnail, components, mean, (axes / np.sqrt(variances)).T
 
 
-def looks(source: Source, split: Split, scenes: int, workers: int) -> list[Look]:
+def source_frame_stats(source: Source, split: Split, scenes: int, workers: int) -> list[FrameStats]:
     """Look at windows that begin at any time, under any of the square's symmetries."""
     recordings = load_recordings(simulate_split(source, split, scenes, workers))
     maker = WindowMaker(recordings, final_step=None)
     generator = np.random.default_rng(SEED)
-    seen: list[Look] = []
+    seen: list[FrameStats] = []
     for index in range(len(recordings)):
         for start in generator.integers(LATEST_START + 1, size=WINDOWS_A_SCENE):
             symmetry = Symmetry(int(generator.integers(4)), bool(generator.integers(2)))
             window = symmetry.apply(maker.window(index, int(start), horizon=1))
-            seen.append(look(window.frames))
+            seen.append(frame_stats(window.frames))
     return seen
 
 
-def clip_looks(clips: Clips, *, symmetric: bool) -> list[Look]:
+def clip_frame_stats(clips: Clips, *, symmetric: bool) -> list[FrameStats]:
     """Look at windows that begin every few frames of clips."""
     generator = np.random.default_rng(SEED)
-    seen: list[Look] = []
+    seen: list[FrameStats] = []
     for place in clips.places(horizon=1, every=CLIP_FRAMES_BETWEEN):
         window = clips.window(place, horizon=1)
         if symmetric:
             turned = Symmetry(int(generator.integers(4)), bool(generator.integers(2)))
             window = turned.apply(window)
-        seen.append(look(window.frames))
+        seen.append(frame_stats(window.frames))
     return seen
 
 
-def fixed_looks(source: Source, workers: int) -> list[Look]:
+def fixed_looks(source: Source, workers: int) -> list[FrameStats]:
     """Look at the fixed windows of the test split."""
     recordings = load_recordings(simulate_split(source, "test", TEST_SCENES, workers))
     windows = fixed_windows(recordings, horizon=1, final_step=None)
-    return [look(window.frames) for window in windows]
+    return [frame_stats(window.frames) for window in windows]

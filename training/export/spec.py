@@ -13,7 +13,7 @@ LICENCE = "Apache-2.0"
 
 
 @dataclass(frozen=True)
-class Filmed:
+class FootageSpec:
     """The footage that a network was trained on."""
 
     rig: Rig
@@ -33,7 +33,7 @@ class Trained:
     """Training sequences that its weights have seen."""
     horizon: int
     """Steps of the longest rollouts that trained its weights."""
-    filmed: Filmed | None = None
+    filmed: FootageSpec | None = None
     """Of a network for footage."""
 
     @property

@@ -31,7 +31,7 @@ from rollcast.scene import Scenario
 from training.common.settings import keep_runtime_silent
 from training.data.windows import collate, compared_horizon
 from training.evaluation.evaluate import EvaluationSet, evaluation_sets, markdown_table
-from training.export.export import Judged, hashes, judge
+from training.export.export import EvaluationSummary, hashes, judge
 from training.export.onnx_graphs import Graphs, drop_traces
 from training.export.weight_rounding import store_in_bytes
 from training.objectives.metrics import Forecasts, beside_truth
@@ -218,7 +218,7 @@ def _write_golden(graphs: Graphs, source: Path, to: Path, horizon: int) -> Parit
     return Parity(max_abs_error=off, tolerance={name: TOLERANCE[name] for name in off})
 
 
-def _card(float32: Manifest, version: int, said: str, judged: Judged) -> str:
+def _card(float32: Manifest, version: int, said: str, judged: EvaluationSummary) -> str:
     """Model card in Markdown."""
     return f"""# {float32.name}@{version}
 

@@ -162,9 +162,9 @@ class ReadingLoss:
     measures = 2.0
     rounding = 0.1
 
-    def __call__(self, reading: Reading, scenery: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-        """Loss of a reading against the fields of :class:`training.data.windows.Scenery`."""
-        centres, ground, measures = scenery
+    def __call__(self, reading: Reading, scene_targets: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+        """Loss of a reading against the fields of :class:`training.data.windows.SceneTargets`."""
+        centres, ground, measures = scene_targets
         seen, now = centres[:, :, :OBSERVED_FRAMES, :2], centres[:, :, OBSERVED_FRAMES - 1]
         before = centres[:, :, OBSERVED_FRAMES - 2]
         off = _unlike(reading.centres, now)

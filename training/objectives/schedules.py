@@ -7,8 +7,8 @@ from typing import Any, Protocol
 class Schedule(Protocol):
     """Follows one training; its state goes into the checkpoints."""
 
-    def factor(self, spent: float) -> float:
-        """Factor on the learning rate when a share ``spent`` of the budget is gone."""
+    def factor(self, progress: float) -> float:
+        """Factor on the learning rate when a share ``progress`` of the budget is gone."""
         ...
 
     def observe(self, loss: float, sequences: int) -> None:
@@ -43,11 +43,11 @@ class Cosine:
     def __init__(self, warm_up: float = 0.02) -> None:
         self._warm_up = warm_up
 
-    def factor(self, spent: float) -> float:
-        """Factor on the learning rate when a share ``spent`` of the budget is gone."""
-        if spent < self._warm_up:
-            return spent / self._warm_up
-        return 0.5 * (1 + math.cos(math.pi * (spent - self._warm_up) / (1 - self._warm_up)))
+    def factor(self, progress: float) -> float:
+        """Factor on the learning rate when a share ``progress`` of the budget is gone."""
+        if progress < self._warm_up:
+            return progress / self._warm_up
+        return 0.5 * (1 + math.cos(math.pi * (progress - self._warm_up) / (1 - self._warm_up)))
 
     def observe(self, loss: float, sequences: int) -> None:
         """Do nothing: only the budget counts."""
@@ -79,7 +79,7 @@ class Plateau:
         self._loss_sum = 0.0
         self._seen = 0
 
-    def factor(self, spent: float) -> float:  # noqa: ARG002 - the loss alone decides
+    def factor(self, progress: float) -> float:  # noqa: ARG002 - the loss alone decides
         """Factor on the learning rate."""
         return self._factor
 
@@ -126,9 +126,9 @@ class Exponential:
     def __init__(self, end: float) -> None:
         self._end = end
 
-    def factor(self, spent: float) -> float:
-        """Factor on the learning rate when a share ``spent`` of the budget is gone."""
-        return self._end**spent
+    def factor(self, progress: float) -> float:
+        """Factor on the learning rate when a share ``progress`` of the budget is gone."""
+        return self._end**progress
 
     def observe(self, loss: float, sequences: int) -> None:
         """Do nothing: only the budget counts."""

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from rollcast.manifest import MANIFEST_FILE, Manifest
-from training.engine.trainer import Pace, Trainer
+from training.engine.trainer import Trainer, TrainerConfig
 from training.engine.warm_start import Initial
 from training.export.load import read_initial
 from training.recipes.field import (
@@ -180,10 +180,10 @@ def initial_of(chosen: Round, models: Path) -> list[Initial]:
     return [read_initial(folder) for folder in own or parents]
 
 
-def train(chosen: Round, models: Path, pace: Pace) -> Outcome:
+def train(chosen: Round, models: Path, config: TrainerConfig) -> Outcome:
     """Train a round to its end; return what it gave."""
     before = committed_errors(chosen.recipe, models)
-    trainer = Trainer(chosen.recipe, chosen.folder, pace, initial_of(chosen, models))
+    trainer = Trainer(chosen.recipe, chosen.folder, config, initial_of(chosen, models))
     error = trainer.run()
     mean = None if before is None else sum(before.values()) / len(before)
     return Outcome(mean, error)

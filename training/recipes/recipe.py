@@ -38,13 +38,13 @@ class DataShare:
 
 @dataclass(frozen=True)
 class Milestone:
-    """When a share ``spent`` of the budget is gone, train on forecasts of ``horizon`` steps.
+    """When a share ``progress`` of the budget is gone, train on forecasts of ``horizon`` steps.
 
     Between milestones the horizon grows step by step: a jump from 10 to 20 destroyed a network
     that stood at 3 px (docs/experiments.md).
     """
 
-    spent: float
+    progress: float
     horizon: int
 
 
@@ -175,20 +175,20 @@ def continued(recipe: Recipe) -> Recipe:
     )
 
 
-def horizon_at(curriculum: tuple[Milestone, ...], spent: float) -> int:
-    """Horizon to train on when a share ``spent`` of the budget is gone."""
-    shares = [milestone.spent for milestone in curriculum]
+def horizon_at(curriculum: tuple[Milestone, ...], progress: float) -> int:
+    """Horizon to train on when a share ``progress`` of the budget is gone."""
+    shares = [milestone.progress for milestone in curriculum]
     horizons = [milestone.horizon for milestone in curriculum]
-    return int(np.interp(spent, shares, horizons))
+    return int(np.interp(progress, shares, horizons))
 
 
-def longest_rollout(recipe: Recipe, spent: float) -> int:
-    """Return the steps of the longest rollouts trained on once a share ``spent`` is gone.
+def longest_rollout(recipe: Recipe, progress: float) -> int:
+    """Return the steps of the longest rollouts trained on once a share ``progress`` is gone.
 
     From frames or, where there is practice, from true states. This, not what the recipe is on its
     way to, is the trained horizon of weights that are kept before the end.
     """
-    horizon = horizon_at(recipe.curriculum, spent)
+    horizon = horizon_at(recipe.curriculum, progress)
     if recipe.explicit is None:
         return horizon
-    return max(horizon, horizon_at(recipe.explicit.curriculum, spent))
+    return max(horizon, horizon_at(recipe.explicit.curriculum, progress))

@@ -16,7 +16,7 @@ from rollcast.tracking.track import track
 from training.common.settings import runs_folder
 from training.data.clip_dataset import SETUP_FILE, Clip, Clips, Setup, load_clips
 from training.data.splits import Split
-from training.engine.trainer import Pace, Trainer
+from training.engine.trainer import Trainer, TrainerConfig
 from training.export.load import initial_networks, load_exported
 from training.networks.recurrent import Family
 from training.objectives.metrics import forecast
@@ -40,7 +40,7 @@ FEW = 6_400
 
 
 @dataclass(frozen=True)
-class Filmed:
+class FootageSource:
     """Clips of one set-up.
 
     Attributes
@@ -74,7 +74,7 @@ class Shot:
         Frames: after the cue has let go of it, and before it rests or is lost.
     """
 
-    filmed: Filmed
+    filmed: FootageSource
     ball: int
     first: int
     last: int
@@ -97,7 +97,7 @@ class Shot:
         )
 
 
-ARENA = Filmed(
+ARENA = FootageSource(
     "arena",
     {f"4Ball-short{number}.mp4": f"arena {number}" for number in (1, 3, 4, 5)},
     4,
@@ -105,9 +105,9 @@ ARENA = Filmed(
 )
 
 
-def _pool(stem: str, title: str, balls: int) -> Filmed:
+def _pool(stem: str, title: str, balls: int) -> FootageSource:
     setup = Setup(crop=(280, 0, 720), splits={"test": (stem,)})
-    return Filmed(stem, {f"{stem}.mp4": title}, balls, setup)
+    return FootageSource(stem, {f"{stem}.mp4": title}, balls, setup)
 
 
 POOL = (
@@ -149,7 +149,7 @@ def make(source: Path, page: Path, baselines: Sequence[str]) -> Iterator[str]:
     page.write_text("\n\n".join([before + BEGIN, *parts, END + after]), encoding="utf-8")
 
 
-def tracked(source: Path, filmed: Filmed) -> list[Quality]:
+def tracked(source: Path, filmed: FootageSource) -> list[Quality]:
     """Track the clips of a set-up into its folder, unless all are; return the report on each.
 
     The balls of all clips are in the order of the first one's, so they are tracked in one go.
@@ -242,5 +242,5 @@ def _alone(shot: Shot) -> Clip:
 def trained(recipe: Recipe, clips: Mapping[Split, Clips], begin: Path) -> Path:
     """Train a recipe unless that has been done; return the folder of its run."""
     folder = runs_folder() / recipe.name
-    Trainer(recipe, folder, Pace(VALIDATE_EVERY), initial_networks(begin), clips).run()
+    Trainer(recipe, folder, TrainerConfig(VALIDATE_EVERY), initial_networks(begin), clips).run()
     return folder

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from rollcast.trajectory import FIRST_FORECAST_FRAME
-from training.baselines.fitting import Course, fit
+from training.baselines.fitting import FitConfig, fit
 from training.baselines.ifs import FRAMES, Ifs
 from training.baselines.learner import Learner, joined
 from training.baselines.least_squares import POINTS, polynomial
@@ -148,7 +148,7 @@ def _least_squares(degree: int, rig: Rig) -> Forecasts:
 
 
 def _ifs(rig: Rig) -> Forecasts:
-    course = Course[States](
+    fit_config = FitConfig[States](
         BUDGET // BATCH,
         partial(_drawn_states, rig.clips["training"]),
         lambda parameters: torch.optim.Adam(parameters, 5e-4),
@@ -160,22 +160,22 @@ def _ifs(rig: Rig) -> Forecasts:
         positions, _ = learner.forecast(rig.states(split), rig.horizon).arrays()
         return beside_truth(rig.windows(split), positions, None, None)
 
-    return _trained(rig, "ifs", partial(Ifs, angular_velocity=False), course, made)
+    return _trained(rig, "ifs", partial(Ifs, angular_velocity=False), fit_config, made)
 
 
 def _vin(rig: Rig) -> Forecasts:
-    course = Course[Batch](
+    fit_config = FitConfig[Batch](
         BUDGET // BATCH,
         partial(_drawn_frames, rig.clips["training"], BATCH),
         lambda parameters: torch.optim.Adam(parameters, 5e-4),
         lambda: Exponential(0.1),
         BATCH,
     )
-    return _trained(rig, "vin", partial(Vin, rig.objects, T_TRAIN), course, partial(_seen, rig))
+    return _trained(rig, "vin", partial(Vin, rig.objects, T_TRAIN), fit_config, partial(_seen, rig))
 
 
 def _v_lstm(rig: Rig) -> Forecasts:
-    course = Course[Batch](
+    fit_config = FitConfig[Batch](
         BUDGET // LSTM_BATCH,
         partial(_drawn_frames, rig.clips["training"], LSTM_BATCH),
         lambda parameters: torch.optim.Adam(parameters, 3e-4),
@@ -183,7 +183,7 @@ def _v_lstm(rig: Rig) -> Forecasts:
         LSTM_BATCH,
     )
     build = partial(VLstm, rig.objects, T_TRAIN, angular_velocity=False)
-    return _trained(rig, "v-lstm", build, course, partial(_seen, rig))
+    return _trained(rig, "v-lstm", build, fit_config, partial(_seen, rig))
 
 
 BASELINES: Mapping[str, Callable[[Rig], Forecasts]] = {
@@ -200,14 +200,14 @@ def _trained(
     rig: Rig,
     name: str,
     build: Callable[[], Learner],
-    course: Course,
+    fit_config: FitConfig,
     made: Callable[[Learner, Split], Forecasts],
 ) -> Forecasts:
     def validate(learner: Learner) -> float:
         return float(made(learner, "validation").errors_px()[:, :, T_TRAIN - 1].mean())
 
     folder = runs_folder() / "rig" / f"{name}-{rig.objects}"
-    learner = fit(build, course, folder, validate)
+    learner = fit(build, fit_config, folder, validate)
     with torch.inference_mode():
         return made(learner, "test")
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from rollcast.manifest import Manifest, MetricRow
 from rollcast.scene import SCENARIOS, Scenario
-from training.reporting.results import Cell, Results
+from training.reporting.results import Measurement, Results
 
 BEGIN = "<!-- results: python -m training report -->"
 END = "<!-- end of results -->"
@@ -95,7 +95,7 @@ with: the network's own times a scale per step fitted on validation scenes, or t
 validation residuals. The paper's networks each saw about 17 million sequences."""
 
 
-def _table(cells: Sequence[Cell]) -> str:
+def _table(cells: Sequence[Measurement]) -> str:
     lines = [
         "| method | T | error px | paper px | ang. vel. RMSE rad/s | neg. log likelihood | "
         "in 50 % | in 95 % | trained on |",

@@ -20,7 +20,7 @@ from training.data.windows import Window
 from training.engine.trainer import EVENTS, LOSS
 from training.objectives.metrics import Forecasts
 from training.reporting.markdown import title
-from training.reporting.results import LEVELS, Cell, Curve, Results
+from training.reporting.results import LEVELS, Curve, Measurement, Results
 
 SIGMAS = 2.0
 """Size of the drawn ellipses, standard deviations."""
@@ -97,7 +97,7 @@ def draw_bars(results: Results, given_states: Mapping[str, bool], path: Path) ->
         figure.savefig(path, metadata={"Software": None})
 
 
-def draw_group(axes: Axes, cells: Sequence[Cell], given_states: Mapping[str, bool]) -> None:
+def draw_group(axes: Axes, cells: Sequence[Measurement], given_states: Mapping[str, bool]) -> None:
     """Draw the methods that have been measured on a group, a bar a moment, side by side."""
     measured = {cell.method for cell in cells}
     methods = [method for method in given_states if method in measured]

@@ -35,7 +35,7 @@ MODELS = "models"
 
 
 @dataclass(frozen=True)
-class Cell:
+class Measurement:
     """One figure of the tables: a method on one scenario at one moment.
 
     128-pixel units, rad/s, nats.
@@ -83,7 +83,7 @@ class Curve:
     coverage
         Share of truths inside the ellipse of each of LEVELS, over all steps up to T_train.
     study, condition
-        Which table it belongs to, and which of the table's subjects.
+        Which table it belongs to, and which of the table's cases.
     """
 
     scenario: Scenario
@@ -100,7 +100,7 @@ class Curve:
 class Results:
     """Everything that was measured: the committed models' table, and the studies'."""
 
-    cells: tuple[Cell, ...]
+    cells: tuple[Measurement, ...]
     curves: tuple[Curve, ...]
 
     def of(self, study: str) -> "Results":
@@ -117,8 +117,8 @@ class Results:
             (*other.curves, *(curve for curve in self.curves if curve.study != MODELS)),
         )
 
-    def with_row(self, cells: Sequence[Cell], curve: Curve) -> "Results":
-        """Replace one method's figures on one subject of a study, or add them."""
+    def with_row(self, cells: Sequence[Measurement], curve: Curve) -> "Results":
+        """Replace one method's figures on one case of a study, or add them."""
         row = _row(curve)
         return Results(
             (*(cell for cell in self.cells if _row(cell) != row), *cells),
@@ -138,7 +138,7 @@ class Results:
         """Read what :meth:`write` wrote."""
         stored = json.loads(path.read_text("utf-8"))
         return cls(
-            tuple(Cell(**cell) for cell in stored["cells"]),
+            tuple(Measurement(**cell) for cell in stored["cells"]),
             tuple(
                 Curve(
                     **curve
@@ -152,7 +152,7 @@ class Results:
         )
 
 
-def _row(figure: Cell | Curve) -> tuple[str, str, int, str, str]:
+def _row(figure: Measurement | Curve) -> tuple[str, str, int, str, str]:
     return figure.study, figure.scenario, figure.objects, figure.condition, figure.method
 
 
@@ -164,7 +164,7 @@ def committed(models: Path) -> list[Path]:
 
 def measure(models: Sequence[Path], scenes: int, workers: int) -> Results:
     """Measure models, and the baselines beside them, on the first scenes of the test split."""
-    cells: list[Cell] = []
+    cells: list[Measurement] = []
     curves: list[Curve] = []
     known: dict[tuple[tuple[Scenario, ...], int, int | None], list[EvaluationSet[Scenario]]] = {}
     for folder in models:
@@ -188,7 +188,7 @@ def measure(models: Sequence[Path], scenes: int, workers: int) -> Results:
 
 def _measure_model(
     manifest: Manifest, scenario: Scenario, forecasts: Forecasts
-) -> tuple[list[Cell], Curve]:
+) -> tuple[list[Measurement], Curve]:
     errors = forecasts.errors_px()
     if manifest.final_step is not None:
         errors = errors[:, :, : manifest.final_step + 1]
@@ -196,7 +196,7 @@ def _measure_model(
     horizons = {1, longest // 4, longest // 2, 3 * longest // 4, manifest.trained_horizon, longest}
     sequences = manifest.training["sequences"]
     assert isinstance(sequences, int)
-    plain = Cell(
+    plain = Measurement(
         scenario=scenario,
         objects=manifest.objects,
         method=manifest.label,
@@ -207,7 +207,7 @@ def _measure_model(
         test_sequences=len(errors),
         training_sequences=sequences,
     )
-    cells: list[Cell] = []
+    cells: list[Measurement] = []
     reached = sorted(horizon for horizon in horizons if horizon <= errors.shape[2])
     for horizon, measured in measured_at(forecasts, reached).items():
         at = f"T={horizon}"
@@ -225,17 +225,17 @@ def _measure_model(
 
 def _measure_baselines(
     part: EvaluationSet[Scenario], objects: int
-) -> list[tuple[list[Cell], Curve]]:
+) -> list[tuple[list[Measurement], Curve]]:
     truth = np.stack([window.positions for window in part.windows])
-    made: list[tuple[list[Cell], Curve]] = []
+    made: list[tuple[list[Measurement], Curve]] = []
     for method, positions in (("stays put", stays_put(truth)), ("line", part.line)):
         errors = np.linalg.norm(positions - truth, axis=-1)
         longest = errors.shape[2]
-        cells: list[Cell] = []
+        cells: list[Measurement] = []
         for horizon in (1, longest // 4, longest // 2, 3 * longest // 4, longest):
             at = f"T={horizon}"
             paper = published(part.scenario, objects, method, at)
-            plain = Cell(part.scenario, objects, method, method, at, 0, 0, len(errors))
+            plain = Measurement(part.scenario, objects, method, method, at, 0, 0, len(errors))
             cells.append(
                 replace(
                     _with_error(plain, at, errors[:, :, horizon - 1]),
@@ -246,7 +246,7 @@ def _measure_baselines(
     return made
 
 
-def _with_error(cell: Cell, at: str, errors: np.ndarray) -> Cell:
+def _with_error(cell: Measurement, at: str, errors: np.ndarray) -> Measurement:
     """Fill in a cell from the errors [sequences, objects] of one step."""
     error, spread = mean_error(errors)
     return replace(cell, at=at, position_error_px=error, standard_error_px=spread)
@@ -266,7 +266,7 @@ def disagreements(ours: Results, stored: Results) -> list[str]:
     Both were measured on scenes of the same split, so they may differ by four standard errors of
     the smaller sample.
     """
-    known: Mapping[tuple[str, int, str, str], Cell] = {
+    known: Mapping[tuple[str, int, str, str], Measurement] = {
         (cell.scenario, cell.objects, cell.method, cell.at): cell
         for cell in stored.of(MODELS).cells
     }

@@ -55,11 +55,11 @@ def publish_study(study: Study, docs: Path) -> None:
         return
     if results.cells:
         plots.draw_bars(results, given, folder / tables.bars_name(study))
-    for subject in study.subjects:
-        curves = tables.curves_of(results, subject)
+    for case in study.cases:
+        curves = tables.curves_of(results, case)
         if curves:
             in_order = sorted(curves, key=lambda curve: order.index(curve.method))
-            plots.draw_errors(in_order, folder / tables.curves_name(study, subject))
+            plots.draw_errors(in_order, folder / tables.curves_name(study, case))
 
 
 def _examples(folders: Sequence[Path], workers: int) -> list[tuple[str, Window, Forecasts]]:

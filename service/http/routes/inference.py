@@ -34,7 +34,7 @@ from service.inference.deadlines import (
     timeout_s,
 )
 from service.inference.rollout import Outputs, Predictor, assemble, stacked
-from service.inference.scheduler import Seen
+from service.inference.scheduler import DecodedRequest
 from service.observability.tracing import Stages
 from service.state import ServiceState, State
 
@@ -190,7 +190,7 @@ class Batch:
         self._stages = Stages(service.metrics)
         self._steps: list[Outputs] = []
 
-    def begin(self) -> Seen:
+    def begin(self) -> DecodedRequest:
         """Parse the body."""
         self._stages.next()
         text, binary = split(self._body, self._length)
@@ -198,7 +198,7 @@ class Batch:
         most = self._service.settings.max_batch
         self._query = read_query(request, binary, self._predictor.manifest, most)
         self._stages.next()
-        return Seen(self._predictor, self._query.frames, self._query.horizon)
+        return DecodedRequest(self._predictor, self._query.frames, self._query.horizon)
 
     def step(self, index: int, outputs: Outputs) -> None:
         """Keep a step's outputs."""

@@ -15,8 +15,8 @@ from service.http.problem_details import document
 from service.http.request_body import JSON, MULTIPART, media_type, parse_json, read_body, read_form
 from service.inference.deadlines import (
     CLIENT_CLOSED_REQUEST,
+    CancellationToken,
     ClientGoneError,
-    Patience,
     answered,
     streamed,
     timeout_s,
@@ -71,10 +71,10 @@ async def predict_stream(request: Request, service: ServiceState) -> Response:
     parse = await _body(request)
 
     def submit(
-        patience: Patience, emit: Callable[[StreamStep | StreamDone], object]
+        token: CancellationToken, emit: Callable[[StreamStep | StreamDone], object]
     ) -> Future[None]:
         forecast = StreamedForecast(parse, service.registry, service.metrics, emit)
-        return service.inference.submit(forecast, patience)
+        return service.inference.submit(forecast, token)
 
     events = streamed(request, timeout_s(request, service.settings), submit)
     # What is refused before the first step is refused as by /predict.

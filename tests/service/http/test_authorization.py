@@ -6,7 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from service.auth import api_keys
-from service.auth.api_keys import Key, KeyFile, Keyring, digest, new_token
+from service.auth.api_keys import ApiKeyStore, Key, KeyFile, digest, new_token
 from service.http.authorization import right_for
 from service.http.routes import (
     health,
@@ -91,7 +91,7 @@ def test_two_keys_of_one_name_are_refused():
 
 def test_a_key_is_good_until_its_last_day(keys):
     path, tokens = keys
-    ring = Keyring(path)
+    ring = ApiKeyStore(path)
     found = {name: ring.find(token) for name, token in tokens.items()}
     assert {name for name, key in found.items() if key is not None} == set(tokens) - {"old"}
     assert ring.find("") is None
@@ -101,7 +101,7 @@ def test_a_key_is_good_until_its_last_day(keys):
 def test_a_changed_file_is_read_again_and_a_broken_one_is_not(keys, monkeypatch, caplog):
     path, tokens = keys
     monkeypatch.setattr(api_keys, "LOOKED_AT_S", 0.0)
-    ring = Keyring(path)
+    ring = ApiKeyStore(path)
     key, token = made("new")
     KeyFile(keys=(key,)).write(path)
     assert ring.find(token) == key

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from service.errors import ServiceError
-from service.inference.deadlines import Patience
+from service.inference.deadlines import CancellationToken
 from tests.service.samples import body, dot, encode, moving_dot, parts, png, png_header
 
 GOOD = moving_dot()
@@ -227,7 +227,7 @@ def test_a_fault_of_the_service_tells_nothing_of_its_inside(start):
     model = served()
 
     class Failing(type(model.predictor)):
-        def encode(self, frames, *, helped=False):
+        def encode(self, frames, *, two_cores=False):
             raise RuntimeError("secret path /root")
 
     broken = type(model)("dot", 1, model.manifest, Failing(model.manifest))
@@ -252,7 +252,9 @@ def test_what_was_refused_is_let_go(client, path, request_):
 
     def living() -> int:
         gc.collect()
-        return sum(isinstance(thing, Patience | ServiceError) for thing in gc.get_objects())
+        return sum(
+            isinstance(thing, CancellationToken | ServiceError) for thing in gc.get_objects()
+        )
 
     for _ in range(3):
         assert client.post(path, **request_).status_code >= 400

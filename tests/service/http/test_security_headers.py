@@ -33,7 +33,7 @@ def test_every_answer_says_what_a_browser_may_do_with_it(client):
 
 def test_a_failure_of_the_service_says_so_too_and_nothing_of_its_cause(start):
     class Failing(samples.DotPredictor):
-        def encode(self, frames, *, helped=False):
+        def encode(self, frames, *, two_cores=False):
             raise OSError("/home/somebody/secret")
 
     model = samples.served()

@@ -65,10 +65,10 @@ def test_a_full_queue_is_429_with_retry_after(start):
     model = samples.served()
 
     class Slow(samples.DotPredictor):
-        def encode(self, frames, *, helped=False):
+        def encode(self, frames, *, two_cores=False):
             entered.release()
             gate.wait(30)
-            return super().encode(frames, helped=helped)
+            return super().encode(frames, two_cores=two_cores)
 
     slow = samples.Model("dot", 1, model.manifest, Slow(model.manifest))
     client = start(
@@ -178,7 +178,7 @@ def test_no_memory_left_is_503(start):
     model = samples.served()
 
     class Hungry(samples.DotPredictor):
-        def encode(self, frames, *, helped=False):
+        def encode(self, frames, *, two_cores=False):
             raise MemoryError
 
     hungry = samples.Model("dot", 1, model.manifest, Hungry(model.manifest))

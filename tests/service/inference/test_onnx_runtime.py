@@ -57,15 +57,15 @@ def test_a_second_core_changes_no_bit(name):
     model = predictor(name)
     with np.load(MODELS / name / "1" / GOLDEN_FILE) as golden:
         frames = golden["frames"]
-    model.encode(frames[:1], helped=True)
+    model.encode(frames[:1], two_cores=True)
     for thread in threading.enumerate():
         if thread.name == "opens an eye":
             thread.join()
     if onnx_runtime.CORES_OF_AN_EYE > 1:
         assert model._eye._helped is not model._eye._unhelped
     for rows in (frames[:1], frames):
-        alone, helped = model.encode(rows), model.encode(rows, helped=True)
-        for mine, other in ((alone.state, helped.state), (alone.outputs, helped.outputs)):
+        alone, two_cores = model.encode(rows), model.encode(rows, two_cores=True)
+        for mine, other in ((alone.state, two_cores.state), (alone.outputs, two_cores.outputs)):
             for key, value in mine.items():
                 np.testing.assert_array_equal(value, other[key])
 

@@ -8,9 +8,9 @@ import pytest
 from prometheus_client import Gauge
 
 from service.errors import QueueFullError
-from service.inference.deadlines import ClientGoneError, Patience
+from service.inference.deadlines import CancellationToken, ClientGoneError
 from service.inference.rollout import Step
-from service.inference.scheduler import Scheduler, Seen
+from service.inference.scheduler import DecodedRequest, Scheduler
 from tests.service import samples
 
 SECONDS = 30
@@ -24,13 +24,13 @@ class Counting:
     def __init__(self) -> None:
         self.batches: list[int] = []
         self.encoded: list[int] = []
-        self.helped: list[bool] = []
+        self.two_cores: list[bool] = []
         self.gate = threading.Event()
         self.gate.set()
 
-    def encode(self, frames, *, helped=False):
+    def encode(self, frames, *, two_cores=False):
         self.encoded.append(len(frames))
-        self.helped.append(helped)
+        self.two_cores.append(two_cores)
         return self.step(frames)
 
     def advance(self, state):
@@ -54,7 +54,7 @@ class Count:
     def begin(self):
         if self.encoding is not None:
             assert self.encoding.wait(SECONDS)
-        return Seen(self.network, self.numbers, self.horizon)
+        return DecodedRequest(self.network, self.numbers, self.horizon)
 
     def step(self, index, outputs):
         assert index == len(self.seen)
@@ -96,7 +96,7 @@ def test_requests_of_any_size_and_horizon_get_their_own_steps(start, network, th
         Count(network, generator.integers(0, 1000, size=1 + k % 3), 1 + int(generator.integers(30)))
         for k in range(60)
     ]
-    futures = [scheduler.submit(job, Patience()) for job in jobs]
+    futures = [scheduler.submit(job, CancellationToken()) for job in jobs]
     assert [future.result(SECONDS) for future in futures] == [job.expected for job in jobs]
     assert scheduler.idle
 
@@ -104,34 +104,36 @@ def test_requests_of_any_size_and_horizon_get_their_own_steps(start, network, th
 def test_a_core_that_is_idle_helps_a_request_alone(start, network):
     scheduler = start(threads=2)
     for begin in (10, 20):
-        assert scheduler.submit(job := Count(network, [begin], 3), Patience()).result(SECONDS)
+        assert scheduler.submit(job := Count(network, [begin], 3), CancellationToken()).result(
+            SECONDS
+        )
         assert len(job.seen) == 3
-    assert network.helped == [True, True]
+    assert network.two_cores == [True, True]
 
 
 def test_no_core_helps_while_all_compute(start, network):
     scheduler = start(threads=2)
     network.gate.clear()
-    first = scheduler.submit(Count(network, [10], 3), Patience())
+    first = scheduler.submit(Count(network, [10], 3), CancellationToken())
     while not network.encoded:  # its rollout waits at the gate
         threading.Event().wait(0.001)
-    second = scheduler.submit(Count(network, [20], 1), Patience())
+    second = scheduler.submit(Count(network, [20], 1), CancellationToken())
     second.result(SECONDS)
     network.gate.set()
     first.result(SECONDS)
-    assert network.helped == [True, False]
+    assert network.two_cores == [True, False]
 
 
 def test_one_thread_is_never_helped(start, network):
-    start(threads=1).submit(Count(network, [10], 3), Patience()).result(SECONDS)
-    assert network.helped == [False]
+    start(threads=1).submit(Count(network, [10], 3), CancellationToken()).result(SECONDS)
+    assert network.two_cores == [False]
 
 
 def test_what_waits_is_encoded_first_and_then_steps_together(start, network):
     scheduler = start(threads=1)
     encoding = threading.Event()
     jobs = [Count(network, [10 * k], 5, encoding) for k in range(8)]
-    futures = [scheduler.submit(job, Patience()) for job in jobs]
+    futures = [scheduler.submit(job, CancellationToken()) for job in jobs]
     encoding.set()
     wait(futures, SECONDS)
     assert network.batches == [8] * 4
@@ -141,7 +143,7 @@ def test_a_full_batch_steps_although_frames_wait(start, network):
     scheduler = start(threads=1, max_batch=3)
     encoding = threading.Event()
     jobs = [Count(network, [10 * k], 5, encoding) for k in range(7)]
-    futures = [scheduler.submit(job, Patience()) for job in jobs]
+    futures = [scheduler.submit(job, CancellationToken()) for job in jobs]
     encoding.set()
     wait(futures, SECONDS)
     assert network.batches == [3] * 4 + [3] * 4 + [1] * 4
@@ -150,9 +152,9 @@ def test_a_full_batch_steps_although_frames_wait(start, network):
 def test_a_request_joins_while_others_step(start, network):
     scheduler = start(threads=2)
     network.gate.clear()
-    first = scheduler.submit(Count(network, [0], 50), Patience())
+    first = scheduler.submit(Count(network, [0], 50), CancellationToken())
     second = Count(network, [100], 50)
-    joined = scheduler.submit(second, Patience())
+    joined = scheduler.submit(second, CancellationToken())
     while not network.gate.is_set():
         if len(second.seen) == 1:
             network.gate.set()
@@ -166,12 +168,12 @@ def test_a_request_joins_while_others_step(start, network):
 
 def test_whoever_goes_away_leaves_with_the_next_step(start, network):
     scheduler = start(threads=1)
-    patience = Patience()
+    token = CancellationToken()
     encoding = threading.Event()
-    leaving = scheduler.submit(Count(network, [0, 1], 1000, encoding), patience)
+    leaving = scheduler.submit(Count(network, [0, 1], 1000, encoding), token)
     staying = Count(network, [7], 20, encoding)
-    stays = scheduler.submit(staying, Patience())
-    patience.end()
+    stays = scheduler.submit(staying, CancellationToken())
+    token.cancel()
     encoding.set()
     assert stays.result(SECONDS) == staying.expected
     assert isinstance(leaving.exception(SECONDS), ClientGoneError)
@@ -187,7 +189,7 @@ def blocked(scheduler: Scheduler, network: Counting) -> threading.Event:
             begun.set()
             return super().begin()
 
-    scheduler.submit(Blocking(network, [0], 1, encoding), Patience())
+    scheduler.submit(Blocking(network, [0], 1, encoding), CancellationToken())
     assert begun.wait(SECONDS)
     return encoding
 
@@ -196,7 +198,7 @@ def test_what_waits_is_encoded_a_few_at_a_time(start, network):
     scheduler = start(threads=1)
     encoding = blocked(scheduler, network)
     jobs = [Count(network, [10 * k], 1 + k) for k in range(6)]
-    futures = [scheduler.submit(job, Patience()) for job in jobs]
+    futures = [scheduler.submit(job, CancellationToken()) for job in jobs]
     encoding.set()
     assert [future.result(SECONDS) for future in futures] == [job.expected for job in jobs]
     assert network.encoded == [1, 4, 2]
@@ -213,9 +215,9 @@ def test_threads_share_out_what_waits(start, network):
             assert gate.wait(SECONDS)
             return super().begin()
 
-    first = [scheduler.submit(Waiting(network, [k], 1), Patience()) for k in range(4)]
+    first = [scheduler.submit(Waiting(network, [k], 1), CancellationToken()) for k in range(4)]
     everybody.wait(SECONDS)
-    later = [scheduler.submit(Count(network, [k], 1), Patience()) for k in range(4)]
+    later = [scheduler.submit(Count(network, [k], 1), CancellationToken()) for k in range(4)]
     gate.set()
     wait([*first, *later], SECONDS)
     assert network.encoded == [1] * 8
@@ -226,7 +228,7 @@ def test_requests_for_several_models_are_encoded_apart(start, network):
     scheduler = start(threads=1)
     encoding = blocked(scheduler, network)
     jobs = [Count(of, [10 * k], 3) for k, of in enumerate([network, other, network])]
-    futures = [scheduler.submit(job, Patience()) for job in jobs]
+    futures = [scheduler.submit(job, CancellationToken()) for job in jobs]
     encoding.set()
     assert [future.result(SECONDS) for future in futures] == [job.expected for job in jobs]
     assert (network.encoded, other.encoded) == ([1, 2], [1])
@@ -239,9 +241,9 @@ def test_frames_that_cannot_be_read_fail_nobody_else(start, network):
 
     scheduler = start(threads=1)
     encoding = blocked(scheduler, network)
-    broken = scheduler.submit(Broken(network, [5], 3), Patience())
+    broken = scheduler.submit(Broken(network, [5], 3), CancellationToken())
     other = Count(network, [6], 3)
-    answered = scheduler.submit(other, Patience())
+    answered = scheduler.submit(other, CancellationToken())
     encoding.set()
     assert answered.result(SECONDS) == other.expected
     with pytest.raises(ValueError, match="damaged"):
@@ -257,9 +259,9 @@ def test_one_failure_is_the_answer_of_one_request(start, network):
 
     scheduler = start(threads=1)
     encoding = threading.Event()
-    failing = scheduler.submit(Failing(network, [5], 10, encoding), Patience())
+    failing = scheduler.submit(Failing(network, [5], 10, encoding), CancellationToken())
     other = Count(network, [6], 10, encoding)
-    answered = scheduler.submit(other, Patience())
+    answered = scheduler.submit(other, CancellationToken())
     encoding.set()
     assert answered.result(SECONDS) == other.expected
     with pytest.raises(ValueError, match="not finite"):
@@ -273,35 +275,35 @@ def test_a_network_that_fails_fails_those_who_share_its_batch(start, network, me
 
     setattr(network, method, fail)
     scheduler = start(threads=1)
-    failed = [scheduler.submit(Count(network, [k], 3), Patience()) for k in range(3)]
+    failed = [scheduler.submit(Count(network, [k], 3), CancellationToken()) for k in range(3)]
     for future in failed:
         assert isinstance(future.exception(SECONDS), RuntimeError)
     after = Count(Counting(), [1], 3)
-    assert scheduler.submit(after, Patience()).result(SECONDS) == after.expected
+    assert scheduler.submit(after, CancellationToken()).result(SECONDS) == after.expected
 
 
 def test_a_full_scheduler_refuses(start, network):
     scheduler = start(threads=1, capacity=2)
     network.gate.clear()
-    held = [scheduler.submit(Count(network, [k], 3), Patience()) for k in range(2)]
+    held = [scheduler.submit(Count(network, [k], 3), CancellationToken()) for k in range(2)]
     with pytest.raises(QueueFullError, match="2 requests"):
-        scheduler.submit(Count(network, [9], 3), Patience())
+        scheduler.submit(Count(network, [9], 3), CancellationToken())
     network.gate.set()
     wait(held, SECONDS)
     late = Count(network, [9], 3)
-    assert scheduler.submit(late, Patience()).result(SECONDS) == late.expected
+    assert scheduler.submit(late, CancellationToken()).result(SECONDS) == late.expected
 
 
 def test_what_is_cancelled_before_its_turn_never_begins(start, network):
     scheduler = start(threads=1)
     network.gate.clear()
-    running = scheduler.submit(Count(network, [0], 3), Patience())
+    running = scheduler.submit(Count(network, [0], 3), CancellationToken())
     while not running.running():
         pass
     encoding = threading.Event()
-    blocking = scheduler.submit(Count(network, [1], 2, encoding), Patience())
+    blocking = scheduler.submit(Count(network, [1], 2, encoding), CancellationToken())
     dropped = Count(network, [2], 3)
-    assert scheduler.submit(dropped, Patience()).cancel()
+    assert scheduler.submit(dropped, CancellationToken()).cancel()
     encoding.set()
     network.gate.set()
     wait([running, blocking], SECONDS)
@@ -312,7 +314,7 @@ def test_closing_answers_what_steps_and_drops_what_waits(network):
     held = Gauge("held", "Requests", registry=None)
     scheduler = Scheduler(1, 9, 16, held, lambda _: lambda _: None)
     network.gate.clear()
-    running = scheduler.submit(Count(network, [0], 3), Patience())
+    running = scheduler.submit(Count(network, [0], 3), CancellationToken())
     while network.gate.is_set() or not running.running():
         pass
     closing = threading.Thread(target=scheduler.close)

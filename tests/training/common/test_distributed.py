@@ -8,13 +8,19 @@ import torch
 from torch import distributed, multiprocessing
 
 from tests.training.conftest import tiny
-from training.common.distributed import Share, average_value, leader_first, leads, share
-from training.engine.trainer import CHECKPOINT, Pace, Trainer
+from training.common.distributed import (
+    Share,
+    average_value,
+    is_main_process,
+    main_process_first,
+    share,
+)
+from training.engine.trainer import CHECKPOINT, Trainer, TrainerConfig
 from training.recipes.compact import one_ball
 from training.recipes.field import field_one_ball_rolling
 from training.recipes.sighted import sighted_one_ball
 
-PACE = Pace(validate_every=4, checkpoint_seconds=1e9, workers=0)
+PACE = TrainerConfig(validate_every=4, checkpoint_seconds=1e9, workers=0)
 CREW = 2
 RECIPES = {
     "shared state": one_ball,
@@ -30,8 +36,8 @@ class Noted(Trainer):
         super().__init__(*arguments)
         self.losses: list[float] = []
 
-    def _step(self, batch, spent):
-        loss = super()._step(batch, spent)
+    def _step(self, batch, progress):
+        loss = super()._step(batch, progress)
         self.losses.append(loss)
         return loss
 
@@ -81,11 +87,11 @@ def test_two_end_as_one(name, runs, tmp_path):
 
 
 def write_roles(rank: int, folder: Path) -> None:
-    assert leads() == (rank == 0)
+    assert is_main_process() == (rank == 0)
     assert share() == Share(rank, CREW)
     assert average_value(float(rank)) == 0.5
     path = folder / "made"
-    made = leader_first(lambda: path.exists() or path.write_text("by the leader"))
+    made = main_process_first(lambda: path.exists() or path.write_text("by the leader"))
     assert (made is True) == (rank != 0)
 
 
@@ -94,7 +100,7 @@ def test_the_leader_goes_first(tmp_path):
 
 
 def test_one_process_is_a_crew_of_one():
-    assert leads()
+    assert is_main_process()
     assert average_value(3.0) == 3.0
     assert list(share().of(5)) == [0, 1, 2, 3, 4]
 
@@ -108,15 +114,15 @@ def test_a_checkpoint_of_one_is_gone_on_with_by_two(runs, tmp_path):
     """As after a worker was killed, with another number of workers."""
     alone = train("shared state", tmp_path / "alone")
     half = Noted(tiny(one_ball()), tmp_path / "run", PACE)
-    half._pace = Pace(validate_every=4, checkpoint_seconds=0, workers=0)
+    half._pace = TrainerConfig(validate_every=4, checkpoint_seconds=0, workers=0)
 
     class EnoughError(Exception):
         pass
 
-    def stop(batch, spent, step=half._step):
+    def stop(batch, progress, step=half._step):
         if half.batches == 5:
             raise EnoughError
-        return step(batch, spent)
+        return step(batch, progress)
 
     half._step = stop
     with pytest.raises(EnoughError):

@@ -13,7 +13,7 @@ from rollcast.tracking.tracks import Tracks
 from tests.rollcast.tracking.billiards import COLOURS, FRAME_RATE, HEIGHT, WIDTH, billiards
 from training.cli.footage import rig_clips
 from training.data.clip_dataset import Clips, ClipStream, Place, load_clips
-from training.engine.trainer import Pace, Trainer
+from training.engine.trainer import Trainer, TrainerConfig
 from training.recipes import RECIPES
 
 FRAMES = 60
@@ -123,7 +123,9 @@ def test_the_stream_resumes_anywhere_and_turns_frames_with_positions(folder):
 def test_a_rig_is_trained_on_its_clips(folder, tmp_path):
     recipe = replace(RECIPES["rig-2-balls"](), sequences=32, batch_size=8)
     clips = rig_clips(recipe, folder, None)
-    trainer = Trainer(recipe, tmp_path / "run", Pace(validate_every=2, workers=0), clips=clips)
+    trainer = Trainer(
+        recipe, tmp_path / "run", TrainerConfig(validate_every=2, workers=0), clips=clips
+    )
     before = [p.detach().clone() for p in trainer.family.parameters()]
     assert np.isfinite(trainer.run())
     after = list(trainer.family.parameters())

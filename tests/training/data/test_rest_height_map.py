@@ -9,7 +9,7 @@ from rollcast.simulation.rendering import Renderer
 from rollcast.surfaces import surface_of
 from tests.rollcast.simulation.lab import turned
 from training.data.rest_height_map import MAP_CELLS, resting_ground
-from training.data.scene_cache import Survey, survey
+from training.data.scene_cache import SceneCache, load_scene_cache
 from training.data.shards import SHARD_SCENES, Recording, Source, load_recordings, simulate_split
 from training.data.windows import Symmetry, WindowMaker
 
@@ -28,10 +28,10 @@ def cell_centres_m(half_width_m: float) -> tuple[np.ndarray, np.ndarray]:
 
 def maker_of(recording: Recording) -> WindowMaker:
     camera = camera_for(recording.scene.scenario, 128)
-    known = Survey(
+    known = SceneCache(
         Renderer(recording.scene, camera).empty[None], resting_ground(recording.scene)[None]
     )
-    return WindowMaker([recording], None, known, scenery=True)
+    return WindowMaker([recording], None, known, scene_targets=True)
 
 
 @pytest.mark.parametrize("radius", [0.04, 0.225])
@@ -74,8 +74,8 @@ def test_its_symmetries_are_those_of_the_turned_scene(simulator, scenario):
         return maker_of(recording).window(0, 2, 8)
 
     scene = simulator.sequence(scenario, 1, 5, 4).scene
-    made = Symmetry(1, mirror=False).apply(window(scene)).scenery
-    expected = window(turned(scene)).scenery
+    made = Symmetry(1, mirror=False).apply(window(scene)).scene_targets
+    expected = window(turned(scene)).scene_targets
     np.testing.assert_allclose(made.centres, expected.centres, atol=1e-4)
     np.testing.assert_allclose(made.ground, expected.ground, atol=1e-3)
     np.testing.assert_array_equal(made.measures, expected.measures)
@@ -88,10 +88,10 @@ def test_balls_move_along_the_ground_in_every_view(simulator, quarter_turns, mir
     scene = simulator.sequence("ellipsoid", 1, 7, 4).scene
     recording = Recording(scene, simulator.simulate(scene, 120))
     window = maker_of(recording).window(0, 60, 30, seen=False)
-    scenery = Symmetry(quarter_turns, mirror).apply(window).scenery
-    centres = scenery.centres[0]
+    scene_targets = Symmetry(quarter_turns, mirror).apply(window).scene_targets
+    centres = scene_targets.centres[0]
     cells = np.clip((centres[:, :2] + 1) / 2 * MAP_CELLS, 0, MAP_CELLS - 1).astype(int)
-    lean = scenery.ground[:2, cells[:, 1], cells[:, 0]].T
+    lean = scene_targets.ground[:2, cells[:, 1], cells[:, 0]].T
     upright = np.sqrt(1 - np.sum(lean**2, axis=-1))
     moved = (centres[2:] - centres[:-2]) / 2
     along_normal = np.sum(moved[:, :2] * lean[1:-1], axis=-1) + moved[:, 2] * upright[1:-1]
@@ -101,11 +101,11 @@ def test_balls_move_along_the_ground_in_every_view(simulator, quarter_turns, mir
 
 def test_a_survey_is_kept_beside_its_shards(runs):
     shards = simulate_split(Source("hemisphere"), "validation", SHARD_SCENES, workers=1)
-    first = survey(shards, workers=1)
+    first = load_scene_cache(shards, workers=1)
     assert first.ground.shape == (SHARD_SCENES, 3, MAP_CELLS, MAP_CELLS)
-    kept = [shards[0].with_suffix(f".{name}.npy") for name in Survey._fields]
+    kept = [shards[0].with_suffix(f".{name}.npy") for name in SceneCache._fields]
     before = [file.stat().st_mtime_ns for file in kept]
-    for one, other in zip(survey(shards, workers=1), first, strict=True):
+    for one, other in zip(load_scene_cache(shards, workers=1), first, strict=True):
         np.testing.assert_array_equal(one, other)
     assert [file.stat().st_mtime_ns for file in kept] == before
 
@@ -114,8 +114,10 @@ def test_frames_over_a_survey_are_those_without(runs):
     """Where nothing moves they are the same; edges and shadows may be off by a level."""
     shards = simulate_split(Source("hemisphere"), "validation", SHARD_SCENES, workers=1)
     recordings = load_recordings(shards)
-    surveyed = WindowMaker(recordings, None, survey(shards, workers=1)).window(3, 40, 2).frames
+    cached = (
+        WindowMaker(recordings, None, load_scene_cache(shards, workers=1)).window(3, 40, 2).frames
+    )
     shaded = WindowMaker(recordings, None).window(3, 40, 2).frames
-    difference = np.abs(surveyed.astype(int) - shaded)
+    difference = np.abs(cached.astype(int) - shaded)
     assert difference.max() <= 1
     assert (difference > 0).mean() < 0.01

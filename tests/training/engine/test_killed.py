@@ -9,10 +9,10 @@ import time
 import torch
 
 from tests.training.conftest import tiny
-from training.engine.trainer import CHECKPOINT, Pace, Trainer
+from training.engine.trainer import CHECKPOINT, Trainer, TrainerConfig
 from training.recipes.compact import one_ball
 
-PACE = Pace(validate_every=4, checkpoint_seconds=0, workers=0)
+PACE = TrainerConfig(validate_every=4, checkpoint_seconds=0, workers=0)
 KILLS = 1
 PROGRAM = """
 import sys

@@ -10,8 +10,8 @@ from training.data.feature_cache import rehearsed
 from training.engine.trainer import (
     BEST,
     READINGS,
-    Pace,
     Trainer,
+    TrainerConfig,
     shared_factor,
     warmed_average,
 )
@@ -30,7 +30,7 @@ from training.recipes.recipe import Milestone, horizon_at, longest_rollout
 from training.recipes.sighted import sighted_one_ball
 from training.reporting.plots import draw_training
 
-PACE = Pace(validate_every=4, checkpoint_seconds=0, workers=0)
+PACE = TrainerConfig(validate_every=4, checkpoint_seconds=0, workers=0)
 
 
 @pytest.fixture(
@@ -48,10 +48,10 @@ class MachineLostError(Exception):
 class TrainerThatDies(Trainer):
     """Stops in the middle of a batch, as a lost machine does."""
 
-    def _step(self, batch, spent):
+    def _step(self, batch, progress):
         if self.batches == 5:
             raise MachineLostError
-        return super()._step(batch, spent)
+        return super()._step(batch, progress)
 
 
 def test_a_stopped_training_ends_with_the_same_weights(any_recipe, tmp_path):
@@ -151,7 +151,7 @@ def test_the_average_follows_closely_at_first_and_slowly_later():
 
 def test_horizon_grows_step_by_step_between_milestones():
     curriculum = (Milestone(0.2, 2), Milestone(0.6, 10))
-    horizons = [horizon_at(curriculum, spent) for spent in np.linspace(0, 1, 101)]
+    horizons = [horizon_at(curriculum, progress) for progress in np.linspace(0, 1, 101)]
     assert horizons[:20] == [2] * 20
     assert horizons[60:] == [10] * 41
     assert set(np.diff(horizons)) == {0, 1}

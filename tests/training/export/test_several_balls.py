@@ -9,7 +9,7 @@ import torch
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from tests.training.conftest import tiny
 from training.data.shards import SHARD_SCENES, Source
-from training.engine.trainer import Pace, Trainer
+from training.engine.trainer import Trainer, TrainerConfig
 from training.engine.warm_start import Initial
 from training.export.export import export_run
 from training.export.load import load_exported, read_initial
@@ -20,7 +20,7 @@ from training.recipes.field import field_several_balls, field_several_balls_betw
 from training.recipes.recipe import DataShare, Recipe
 
 MODELS = Path(__file__).parents[3] / "models"
-PACE = Pace(validate_every=2, checkpoint_seconds=1e9, workers=0)
+PACE = TrainerConfig(validate_every=2, checkpoint_seconds=1e9, workers=0)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import torch
 
 from tests.training.conftest import tiny
 from training.data.shards import SHARD_SCENES
-from training.engine.trainer import Pace, Trainer
+from training.engine.trainer import Trainer, TrainerConfig
 from training.engine.warm_start import Initial, load_fitting
 from training.export.export import export_run
 from training.export.load import load_exported
@@ -20,7 +20,7 @@ from training.recipes.sighted import sighted_one_ball, sighted_one_ball_between
 FRAMES = torch.randint(
     0, 256, (2, 5, 128, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(3)
 )
-PACE = Pace(validate_every=4, checkpoint_seconds=1000, workers=0)
+PACE = TrainerConfig(validate_every=4, checkpoint_seconds=1000, workers=0)
 
 
 def family(frames: int = 4, objects: int = 1, **options: bool) -> SightedFamily:

@@ -8,16 +8,22 @@ from tests.rollcast.tracking.billiards import RADIUS_PX, billiards
 from training.__main__ import _parser
 from training.data.clip_dataset import Clips, Setup
 from training.recipes.rig import T_TRAIN
-from training.reporting.footage_page import Filmed, Shot, of_one_clip, tracked, tracking_table
+from training.reporting.footage_page import (
+    FootageSource,
+    Shot,
+    of_one_clip,
+    tracked,
+    tracking_table,
+)
 
 FRAMES = 60
 
 
 @pytest.fixture
-def filmed(tmp_path, monkeypatch) -> Filmed:
+def filmed(tmp_path, monkeypatch) -> FootageSource:
     monkeypatch.setenv("ROLLCAST_RUNS", str(tmp_path / "runs"))
     setup = Setup(crop=(30, 0, 180), splits={"test": ("clip",)})
-    return Filmed("table", {"clip.mp4": "a table"}, 2, setup)
+    return FootageSource("table", {"clip.mp4": "a table"}, 2, setup)
 
 
 def test_clips_are_tracked_once_into_a_folder_that_training_reads(filmed, tmp_path):

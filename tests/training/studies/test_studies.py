@@ -12,13 +12,13 @@ from training.data.shards import SHARD_SCENES
 from training.evaluation.paper import CELLS, published
 from training.recipes.compact import ONE_BALL_DATA
 from training.reporting.plots import _look, draw_errors, draw_group
-from training.reporting.results import Cell, Curve, Results
+from training.reporting.results import Curve, Measurement, Results
 from training.studies import STUDIES
+from training.studies.benchmark_case import BenchmarkCase
 from training.studies.claims import CLAIMS, Claim, Comparison, verdicts
 from training.studies.publish import publish_study
-from training.studies.rows import Effort, least_squares, npe, resting
+from training.studies.rows import StudyBudget, least_squares, npe, resting
 from training.studies.study import Study
-from training.studies.subject import Subject
 from training.studies.tables import page
 
 ROOT = Path(__file__).parents[3]
@@ -26,7 +26,7 @@ SMALL = Study(
     "small",
     "A small study",
     "Few scenes.",
-    (Subject("hemisphere"),),
+    (BenchmarkCase("hemisphere"),),
     lambda: (resting(), least_squares("line", 1), npe(angular_velocity=True)),
 )
 
@@ -40,18 +40,23 @@ def measured(runs, tmp_path_factory):
     Results((), ()).write(file)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("training.studies.rows.VALIDATION_SCENES", SHARD_SCENES)
-        patch.setattr(Subject, "data", property(_few_scenes))
-        efforts = [Effort(2, 100), Effort(2, 100), Effort(2, 50), Effort(2, 200)]
+        patch.setattr(BenchmarkCase, "data", property(_few_scenes))
+        efforts = [
+            StudyBudget(2, 100),
+            StudyBudget(2, 100),
+            StudyBudget(2, 50),
+            StudyBudget(2, 200),
+        ]
         rows: list[list[str]] = [["line"], [], [], []]
         done = [
-            list(SMALL.run(file, SHARD_SCENES, effort, methods))
-            for effort, methods in zip(efforts, rows, strict=True)
+            list(SMALL.run(file, SHARD_SCENES, budget, methods))
+            for budget, methods in zip(efforts, rows, strict=True)
         ]
     return docs, done
 
 
-def _few_scenes(subject: Subject):
-    whole = next(part for part in ONE_BALL_DATA if part.source == subject.source)
+def _few_scenes(case: BenchmarkCase):
+    whole = next(part for part in ONE_BALL_DATA if part.source == case.source)
     return replace(whole, scenes=SHARD_SCENES)
 
 
@@ -114,11 +119,11 @@ def test_bars_stand_side_by_side_in_the_order_of_the_table():
 def test_a_row_that_is_not_there_is_named(measured):
     docs, _ = measured
     with pytest.raises(ValueError, match=r"no row .'nobody'.; its rows: stays put, line, npe"):
-        list(SMALL.run(docs / "results" / "results.json", SHARD_SCENES, Effort(), ["nobody"]))
+        list(SMALL.run(docs / "results" / "results.json", SHARD_SCENES, StudyBudget(), ["nobody"]))
 
 
-def _cell(method: str, error: float) -> Cell:
-    return Cell("hemisphere", 1, method, method, "T=20", error, 0.1, 500)
+def _cell(method: str, error: float) -> Measurement:
+    return Measurement("hemisphere", 1, method, method, "T=20", error, 0.1, 500)
 
 
 def test_claims_hold_do_not_hold_or_are_open():
@@ -141,7 +146,7 @@ def test_claims_hold_do_not_hold_or_are_open():
 def test_the_papers_own_figures_bear_its_claims_out():
     """Judged by the paper's cells no claim may fail: it would be misread."""
     cells = [
-        Cell(
+        Measurement(
             scenario,
             objects,
             method,

@@ -492,10 +492,10 @@ class Slow(samples.DotPredictor):
         super().__init__(manifest)
         self.gate, self.entered = threading.Event(), threading.Semaphore(0)
 
-    def encode(self, frames, *, helped=False):
+    def encode(self, frames, *, two_cores=False):
         self.entered.release()
         self.gate.wait(30)
-        return super().encode(frames, helped=helped)
+        return super().encode(frames, two_cores=two_cores)
 
 
 def test_a_full_queue_is_429_with_retry_after(start):
@@ -541,10 +541,10 @@ def test_a_forecast_past_its_deadline_is_given_up(start):
 class Failing(samples.DotPredictor):
     """Breaks, or leaves every bound at its second step."""
 
-    def encode(self, frames, *, helped=False):
+    def encode(self, frames, *, two_cores=False):
         if not frames.any():
             raise RuntimeError("secret path /root")
-        return super().encode(frames, helped=helped)
+        return super().encode(frames, two_cores=two_cores)
 
     def advance(self, state):
         return super().advance({**state, "velocity": state["velocity"] * np.float32(np.inf)})

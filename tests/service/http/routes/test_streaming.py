@@ -155,10 +155,10 @@ def executor():
 def counting(steps: list[int], ended: threading.Event):
     """A call that hands steps over until nobody waits."""
 
-    def call(patience, emit=lambda _: None):
+    def call(token, emit=lambda _: None):
         try:
             for step in range(10_000):
-                patience.check()
+                token.raise_if_cancelled()
                 steps.append(step)
                 emit(step)
                 time.sleep(0.005)
@@ -176,7 +176,7 @@ def test_a_client_that_goes_away_frees_its_worker(executor):
     async def scenario():
         request = Leaving()
         work = asyncio.ensure_future(
-            answered(request, 30, lambda patience: executor.submit(call, patience))
+            answered(request, 30, lambda token: executor.submit(call, token))
         )
         while not steps:
             await asyncio.sleep(0.001)
@@ -214,7 +214,7 @@ def test_a_stream_that_nobody_reads_ends(executor, by):
 def test_the_first_step_is_there_while_the_others_are_computed(executor):
     go_on = threading.Event()
 
-    def call(patience, emit):
+    def call(token, emit):
         emit("first")
         assert go_on.wait(10)
         emit("second")

@@ -9,9 +9,9 @@ from rollcast.scene import LARGE_RADIUS_M
 from rollcast.simulation import Simulator
 from rollcast.simulation.recording import TEST_START
 from rollcast.trajectory import FIRST_FORECAST_FRAME, Trajectory
-from training.data.shards import STORED_FRAMES, Change, Recording, Source
+from training.data.shards import STORED_FRAMES, Recording, SceneOverride, Source
+from training.studies.benchmark_case import COLLISION_STEP, SceneFilter, before_collision
 from training.studies.conditions import NOISE_SCALES
-from training.studies.subject import COLLISION_STEP, Among, before_collision
 
 MEETING = 150
 """Frame after which two balls collide."""
@@ -26,7 +26,7 @@ def simulator():
 
 def test_slower_scenes_are_the_usual_ones_but_for_their_speed(simulator):
     usual = Source("hemisphere").sequence(simulator, 3)
-    slower = Source("hemisphere", change=Change("slow", speed=0.5)).sequence(simulator, 3)
+    slower = Source("hemisphere", override=SceneOverride("slow", speed=0.5)).sequence(simulator, 3)
     assert usual is not None
     assert slower is not None
     np.testing.assert_allclose(
@@ -37,14 +37,14 @@ def test_slower_scenes_are_the_usual_ones_but_for_their_speed(simulator):
 
 
 def test_what_leaves_the_bowl_at_its_speed_is_left_out(simulator):
-    thrice = Source("hemisphere", change=Change("fast", speed=1.5))
+    thrice = Source("hemisphere", override=SceneOverride("fast", speed=1.5))
     left = [thrice.sequence(simulator, seed) for seed in range(3)]
     assert None in left
 
 
 def test_changed_fields_are_fixed(simulator):
-    change = Change("narrow", (("radius_m", 0.15), ("axis_ratio", 0.4)))
-    source = Source("ellipsoid", change=change)
+    change = SceneOverride("narrow", (("radius_m", 0.15), ("axis_ratio", 0.4)))
+    source = Source("ellipsoid", override=change)
     made = source.sequence(simulator, 3)
     assert made is not None
     assert (made.scene.radius_m, made.scene.axis_ratio) == (0.15, 0.4)
@@ -53,7 +53,7 @@ def test_changed_fields_are_fixed(simulator):
 
 def test_every_ground_lies_in_one_part_by_difficulty(simulator):
     scene = simulator.sequence("heightfield", 1, 1, 1, 0).scene
-    parts = [Among("noise_scale", low, high) for low, high in pairwise(NOISE_SCALES)]
+    parts = [SceneFilter("noise_scale", low, high) for low, high in pairwise(NOISE_SCALES)]
     for scale in np.linspace(0.2, 0.699, 20):
         other = scene.model_copy(update={"noise_scale": float(scale)})
         assert sum(part.holds(other) for part in parts) == 1

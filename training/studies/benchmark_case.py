@@ -14,7 +14,7 @@ from rollcast.simulation.recording import TEST_START
 from rollcast.trajectory import FIRST_FORECAST_FRAME
 from training.baselines.least_squares import POINTS
 from training.baselines.states import States, StateSet
-from training.data.shards import Change, Recording, Source, load_recordings, simulate_split
+from training.data.shards import Recording, SceneOverride, Source, load_recordings, simulate_split
 from training.data.splits import Split
 from training.data.windows import (
     Window,
@@ -34,7 +34,7 @@ MOVED_APART_M = 0.01
 
 
 @dataclass(frozen=True)
-class Among:
+class SceneFilter:
     """Those scenes of which a field lies in a range, the upper end left out."""
 
     field: str
@@ -50,7 +50,7 @@ class Among:
 
 
 @dataclass(frozen=True)
-class Subject:
+class BenchmarkCase:
     """A scenario with so many balls.
 
     Attributes
@@ -67,15 +67,15 @@ class Subject:
 
     scenario: Scenario
     objects: int = 1
-    change: Change | None = None
-    among: Among | None = None
+    override: SceneOverride | None = None
+    scene_filter: SceneFilter | None = None
     horizons: tuple[int, ...] = ()
     colliding: bool = False
 
     @property
-    def usual(self) -> "Subject":
+    def usual(self) -> "BenchmarkCase":
         """All its scenes as they are drawn: what is trained on."""
-        return Subject(self.scenario, self.objects)
+        return BenchmarkCase(self.scenario, self.objects)
 
     @property
     def moments(self) -> Mapping[str, int]:
@@ -87,16 +87,20 @@ class Subject:
     @property
     def name(self) -> str:
         """Short name, for folders and captions."""
-        return self.source.name if self.among is None else f"{self.source.name}, {self.among}"
+        return (
+            self.source.name
+            if self.scene_filter is None
+            else f"{self.source.name}, {self.scene_filter}"
+        )
 
     @property
     def condition(self) -> str:
         """What is special about its scenes; "" for all that a scenario has."""
         if self.colliding:
             return "before the first collision"
-        if self.change is not None:
-            return self.change.name
-        return "" if self.among is None else str(self.among)
+        if self.override is not None:
+            return self.override.name
+        return "" if self.scene_filter is None else str(self.scene_filter)
 
     @property
     def trained_horizon(self) -> int:
@@ -117,14 +121,16 @@ class Subject:
     @property
     def source(self) -> Source:
         """Its kind of scenes."""
-        return Source(self.scenario, self.objects, change=self.change)
+        return Source(self.scenario, self.objects, override=self.override)
 
     def recordings(self, split: Split, scenes: int, workers: int) -> list[Recording]:
         """Load its scenes among the first of a split; simulate those that are not there."""
         known = load_recordings(simulate_split(self.source, split, scenes, workers))[:scenes]
         if self.colliding:
             return [moved for one in known if (moved := before_collision(one, self.horizon))]
-        return [one for one in known if self.among is None or self.among.holds(one.scene)]
+        return [
+            one for one in known if self.scene_filter is None or self.scene_filter.holds(one.scene)
+        ]
 
 
 def before_collision(recording: Recording, horizon: int) -> Recording | None:
@@ -153,17 +159,17 @@ def before_collision(recording: Recording, horizon: int) -> Recording | None:
 
 
 class FixedScenes:
-    """Scenes of a subject from the fixed test start on, as every method needs to see them."""
+    """Scenes of a case from the fixed test start on, as every method needs to see them."""
 
-    def __init__(self, subject: Subject, split: Split, scenes: int, workers: int) -> None:
-        self.subject = subject
-        self.recordings: Sequence[Recording] = subject.recordings(split, scenes, workers)
-        self.start = TEST_START[subject.scenario]
+    def __init__(self, case: BenchmarkCase, split: Split, scenes: int, workers: int) -> None:
+        self.case = case
+        self.recordings: Sequence[Recording] = case.recordings(split, scenes, workers)
+        self.start = TEST_START[case.scenario]
 
     @cached_property
     def windows(self) -> list[Window]:
         """Frames and truth."""
-        return fixed_windows(self.recordings, self.subject.horizon, None)
+        return fixed_windows(self.recordings, self.case.horizon, None)
 
     def windows_until(self, final_step: int) -> list[Window]:
         """Frames and truth up to a step, of which a fifth frame is seen."""
@@ -173,7 +179,7 @@ class FixedScenes:
     def truth(self) -> list[Window]:
         """Truth without frames, which need no rendering."""
         maker = WindowMaker(self.recordings, None)
-        horizon = self.subject.horizon
+        horizon = self.case.horizon
         return [
             maker.window(index, self.start, horizon, seen=False)
             for index in range(len(self.recordings))
@@ -182,11 +188,11 @@ class FixedScenes:
     @cached_property
     def states(self) -> States:
         """True states from t = -3 on."""
-        return StateSet(self.recordings).fixed(self.subject.horizon)
+        return StateSet(self.recordings).fixed(self.case.horizon)
 
     def seen_positions(self, frames: int) -> Float[np.ndarray, "sequences objects frames 2"]:
         """Return true positions in 128-px units from t = -3 on."""
-        camera = camera_for(self.subject.scenario, NETWORK_FRAME_SIZE)
+        camera = camera_for(self.case.scenario, NETWORK_FRAME_SIZE)
         centres = [one.trajectory.window(self.start, frames) for one in self.recordings]
         return np.stack([camera.project(part.positions_m).swapaxes(0, 1) for part in centres])
 
