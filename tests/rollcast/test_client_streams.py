@@ -137,7 +137,7 @@ def test_nothing_is_sent_before_the_first_step_is_asked_for(client):
 
 def test_what_is_no_frame_is_told_by_the_first_step(client):
     with pytest.raises(TypeError, match="expected uint8"):
-        list(client(Streaming()).predict_stream(FRAMES.astype(float)))
+        list(client(Streaming()).predict_stream(FRAMES.astype(int)))
 
 
 PASSING = {

@@ -170,7 +170,7 @@ def test_images_or_their_folder(run, service, tmp_path, as_folder):
         (["VIDEO", "--crop", "50,0,64"], "y 0..64, the picture is 96 x 64\n"),
         (["IMAGE", "IMAGE", "IMAGE"], "3 images, expected a video, a folder or at least four"),
         (["IMAGE", "IMAGE", "IMAGE", "IMAGE", "--start", "1"], "--start is for a video"),
-        (["IMAGE", "IMAGE", "IMAGE", "VIDEO"], "{video} cannot be read: not an image\n"),
+        (["IMAGE", "IMAGE", "IMAGE", "VIDEO"], "{video} is not an image, expected one of"),
         (["FOLDER"], "0 images, expected"),
     ],
 )

@@ -234,6 +234,14 @@ def test_what_is_missing_is_a_note(run, monkeypatch):
     assert "note video: pip install 'rollcast[video]', and videos can be read" in printed
 
 
+def test_a_pyav_that_cannot_read_clips_fails(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rollcast.video", None)
+    code, printed, _ = run("doctor")
+    assert code == 1
+    assert "FAIL video: av " in printed
+    assert "pip install -U 'rollcast[video]'" in printed
+
+
 def test_outside_a_checkout_serve_prints_the_containers_command(tmp_path):
     package = Path(rollcast.__file__).parent
     shutil.copytree(package, tmp_path / "rollcast", ignore=shutil.ignore_patterns("__pycache__"))
@@ -327,8 +335,9 @@ Options:
   --start SECONDS                 time of the first of the four frames in the video (default: 0)
   --every N                       take every N-th frame as it is, none is blended (default: 40 a
                                   second)
-  --rate HZ                       images a second, of all of them (default: 40); a video tells its
-                                  own
+  --rate HZ                       frames a second that the camera took: of images (default: 40),
+                                  of an elementary stream, which does not tell, and of slow
+                                  motion, which is stored slower
   --crop X,Y,SIZE                 the square that is looked at: left column, upper row, side, in
                                   pixels (default: the largest in the middle); models know frames
                                   that the bowl or plane just fills

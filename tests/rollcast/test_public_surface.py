@@ -20,7 +20,9 @@ def surface(module, names):
     for name in names:
         thing = getattr(module, name)
         if not inspect.isclass(thing):
-            lines.append(f"{name} = {without_modules(thing)}")
+            written = without_modules(thing).replace(without_modules(Frame), "Frame")
+            written = without_modules(Frame) if name == "Frame" else written
+            lines.append(f"{name} = " + written.replace(" | ", "\n    | "))
             continue
         lines.append(f"class {name}{signature(thing)}")
         for member, value in inspect.getmembers(thing):
@@ -279,8 +281,17 @@ class ForecastStream(
         self,
     ) -> None
     forecast: rollcast.client.results.Forecast
-Frame = numpy.ndarray | PIL.Image.Image | pathlib.Path | str
-Frames = Sequence[numpy.ndarray | PIL.Image.Image | pathlib.Path | str] | numpy.ndarray
+Frame = numpy.ndarray
+    | PIL.Image.Image
+    | pathlib.Path
+    | str
+    | bytes
+    | bytearray
+    | rollcast.frames.SupportsRead
+    | rollcast.frames.SupportsArray
+Frames = Sequence[Frame]
+    | numpy.ndarray
+    | rollcast.client.images.FrameTensor
 class Simulation(
         frames: ~FramesT,
         positions: jaxtyping.Float64[ndarray, 'objects steps 2'],
@@ -357,6 +368,8 @@ Exception
         RequestTimeoutError
     FootageError
       CropError
+      FootageEndedError
+      FrameError
     MissingExtraError
     SceneParametersError
     SceneRejectedError
