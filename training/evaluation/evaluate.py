@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.manifest import MetricRow
+from rollcast.markdown import table
 from rollcast.scene import Domain, Scenario
 from rollcast.simulation.recording import TEST_START
 from training.baselines.least_squares import POINTS, polynomial
@@ -152,21 +153,20 @@ def metric_rows(
 
 def markdown_table(rows: Sequence[MetricRow]) -> str:
     """Rows as a Markdown table, baselines beside the forecasts."""
-    header = (
-        "| scenario | T | sequences | position error px | ang. vel. RMSE rad/s | "
-        "neg. log likelihood | in 50 % | in 95 % | stays put px | line px |"
-    )
-    lines = [header, "|" + "---|" * 10]
-    for row in rows:
-        cells = (
+    head = (
+        "scenario", "T", "sequences", "position error px", "ang. vel. RMSE rad/s",
+        "neg. log likelihood", "in 50 %", "in 95 %", "stays put px", "line px",
+    )  # fmt: skip
+    return table(
+        head,
+        [(
             row.scenario, row.horizon, row.sequences,
             f"{row.position_error_px:.2f} ± {row.standard_error_px:.2f}",
             _cell(row.angular_velocity_rmse), _cell(row.perplexity),
             _cell(row.coverage_50), _cell(row.coverage_95),
             _cell(row.stays_put_px), _cell(row.line_px),
-        )  # fmt: skip
-        lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
-    return "\n".join(lines)
+        ) for row in rows],
+    )  # fmt: skip
 
 
 def _cell(value: float | None) -> str:

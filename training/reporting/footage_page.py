@@ -11,6 +11,7 @@ from pathlib import Path
 
 import torch
 
+from rollcast.markdown import table
 from rollcast.tracking.quality import Quality
 from rollcast.tracking.track import track
 from training.common.settings import runs_folder
@@ -174,13 +175,20 @@ def tracked(source: Path, filmed: FootageSource) -> list[Quality]:
 
 def tracking_table(reports: Sequence[tuple[str, Quality]]) -> str:
     """Make the table of the reports."""
-    lines = ["| clip | frames | balls found | gaps | jumps | suspected swaps |", "|---" * 6 + "|"]
-    lines += [
-        f"| {title} | {one.frames:,} | {100 * one.found:.1f} % | {len(one.gaps)} "
-        f"| {len(one.jumps)} | {len(one.suspected_swaps)} |"
-        for title, one in reports
-    ]
-    return "\n".join(lines)
+    return table(
+        ("clip", "frames", "balls found", "gaps", "jumps", "suspected swaps"),
+        [
+            (
+                title,
+                f"{one.frames:,}",
+                f"{100 * one.found:.1f} %",
+                len(one.gaps),
+                len(one.jumps),
+                len(one.suspected_swaps),
+            )
+            for title, one in reports
+        ],
+    )
 
 
 def arena(objects: int, baselines: Sequence[str]) -> tuple[Rig, list[Measured]]:

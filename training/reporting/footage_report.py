@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from rollcast.markdown import table
 from rollcast.trajectory import FIRST_FORECAST_FRAME
 from training.baselines.fitting import FitConfig, fit
 from training.baselines.ifs import FRAMES, Ifs
@@ -252,12 +253,13 @@ def markdown(rows: Sequence[Measured], rig: Rig) -> str:
     """Make the table of a page."""
     moments = rig.moments
     heads = [f"T = {T}: px" for T in moments] + [f"in 50 / 95 % at T = {T}" for T in moments]
-    lines = [f"| method | balls | {' | '.join(heads)} |", "|---" * (2 + len(heads)) + "|"]
+    lines: list[Sequence[str]] = []
     for row in rows:
         errors = [f"{mean:.1f} ± {spread:.1f}" for mean, spread in row.errors.values()]
         inside = ["-"] * len(moments)
         if row.inside is not None:
             inside = [f"{half:.2f} / {most:.2f}" for half, most in row.inside.values()]
-        lines.append(f"| {' | '.join([row.method, row.balls, *errors, *inside])} |")
+        lines.append((row.method, row.balls, *errors, *inside))
     how_often = "every frame" if rig.every == 1 else f"every {rig.every} frames"
-    return "\n".join([*lines, "", f"{len(rig.places['test'])} windows, one {how_often}."])
+    shown = table(("method", "balls", *heads), lines)
+    return f"{shown}\n\n{len(rig.places['test'])} windows, one {how_often}."

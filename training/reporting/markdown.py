@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from rollcast.manifest import Manifest, MetricRow
+from rollcast.markdown import table
 from rollcast.scene import SCENARIOS, Scenario
 from training.reporting.results import Measurement, Results
 
@@ -40,10 +41,7 @@ def _overview(manifests: Sequence[Manifest]) -> str:
     reported = [{row.horizon for row in manifest.metrics} for manifest in manifests]
     horizons = sorted(set[int].intersection(*reported))
     names = [*(manifest.name for manifest in manifests), "stays put", "line"]
-    lines = [
-        f"| {_balls(manifests[0].objects)}, test scenes | {' | '.join(names)} |",
-        "|---" * (len(names) + 1) + "|",
-    ]
+    lines: list[Sequence[str]] = []
     for scenario in SCENARIOS:
         for horizon in horizons:
             rows = [_row(manifest, scenario, horizon) for manifest in manifests]
@@ -52,8 +50,8 @@ def _overview(manifests: Sequence[Manifest]) -> str:
                 errors = [None if row is None else row.position_error_px for row in rows]
                 errors += [first.stays_put_px, first.line_px]
                 label = f"{scenario}, T={horizon} ({first.sequences})"
-                lines.append(f"| {label} | {' | '.join(_cell(error, 1) for error in errors)} |")
-    return "\n".join(lines)
+                lines.append((label, *(_cell(error, 1) for error in errors)))
+    return table((f"{_balls(manifests[0].objects)}, test scenes", *names), lines)
 
 
 def page(results: Results, scenes: int) -> str:
@@ -96,21 +94,20 @@ validation residuals. The paper's networks each saw about 17 million sequences."
 
 
 def _table(cells: Sequence[Measurement]) -> str:
-    lines = [
-        "| method | T | error px | paper px | ang. vel. RMSE rad/s | neg. log likelihood | "
-        "in 50 % | in 95 % | trained on |",
-        "|" + "---|" * 9,
-    ]
+    lines: list[Sequence[str]] = []
     for cell in cells:
         seen = "-" if cell.training_sequences is None else f"{cell.training_sequences:,}"
-        columns = (
+        lines.append((
             cell.method, cell.at.removeprefix("T="),
             f"{cell.position_error_px:.2f} ± {cell.standard_error_px:.2f}",
             _cell(cell.paper_px, 1), _cell(cell.angular_velocity_rmse), _cell(cell.perplexity),
             _cell(cell.coverage_50), _cell(cell.coverage_95), seen,
-        )  # fmt: skip
-        lines.append(f"| {' | '.join(columns)} |")
-    return "\n".join(lines)
+        ))  # fmt: skip
+    head = (
+        "method", "T", "error px", "paper px", "ang. vel. RMSE rad/s", "neg. log likelihood",
+        "in 50 %", "in 95 %", "trained on",
+    )  # fmt: skip
+    return table(head, lines)
 
 
 def _row(manifest: Manifest, scenario: Scenario, horizon: int) -> MetricRow | None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from rollcast.markdown import table
 from training.reporting.markdown import title
 from training.reporting.results import Curve, Measurement, Results
 from training.studies.benchmark_case import BenchmarkCase
@@ -58,10 +59,7 @@ def _table(study: Study, results: Results) -> str:
     rows = study.rows()
     columns = [(case, at) for case in study.cases for at in case.moments]
     heads = [f"{_scenes(case)}, {at}" for case, at in columns]
-    lines = [
-        f"| method | given | {' | '.join(heads)} | trained on |",
-        "|" + "---|" * (len(columns) + 3),
-    ]
+    lines: list[Sequence[str]] = []
     best = {
         (case, at): min(
             (
@@ -82,8 +80,8 @@ def _table(study: Study, results: Results) -> str:
             for case, at in columns
         ]
         given = "states" if row.given_states else "frames"
-        lines.append(f"| {row.method} | {given} | {' | '.join(texts)} | {_seen(results, row)} |")
-    return "\n".join(lines)
+        lines.append((row.method, given, *texts, _seen(results, row)))
+    return table(("method", "given", *heads, "trained on"), lines)
 
 
 def _seen(results: Results, row: Row) -> str:
@@ -101,10 +99,7 @@ def _seen(results: Results, row: Row) -> str:
 def _table_by_scenes(study: Study, results: Results) -> str:
     """Return a line a case, with every method's errors."""
     methods = [row.method for row in study.rows()]
-    lines = [
-        f"| scenes | number | {' | '.join(methods)} |",
-        "|" + "---|" * (len(methods) + 2),
-    ]
+    lines: list[Sequence[str]] = []
     for case in study.cases:
         cells = [[_found(results, case, method, at) for at in case.moments] for method in methods]
         errors = [
@@ -112,8 +107,8 @@ def _table_by_scenes(study: Study, results: Results) -> str:
             for of_method in cells
         ]
         number = next((str(cell.test_sequences) for row in cells for cell in row if cell), "-")
-        lines.append(f"| {_scenes(case)} | {number} | {' | '.join(errors)} |")
-    return "\n".join(lines)
+        lines.append((_scenes(case), number, *errors))
+    return table(("scenes", "number", *methods), lines)
 
 
 def _scenes(case: BenchmarkCase) -> str:
@@ -142,6 +137,7 @@ def _cell(cell: Measurement | None, best: float | None) -> str:
 
 
 def _claims(found: Sequence[Verdict]) -> str:
-    lines = ["| the paper's claim | here | figures |", "|---|---|---|"]
-    lines += [f"| {one.claim.text} | {one.outcome} | {one.figures} |" for one in found]
-    return "\n".join(lines)
+    return table(
+        ("the paper's claim", "here", "figures"),
+        [(one.claim.text, one.outcome, one.figures) for one in found],
+    )
