@@ -15,7 +15,8 @@ from training.common.settings import runs_folder
 from training.data.clip_dataset import Clips
 from training.data.shards import Source, data_folder, in_processes, make_missing, split_shards
 from training.data.splits import Split
-from training.engine.trainer import Trainer, TrainerConfig
+from training.engine.loop import TrainerConfig
+from training.engine.trainer import Trainer
 from training.engine.warm_start import Initial
 from training.evaluation import world_check
 from training.evaluation.error_breakdown import dissected, dissection_table

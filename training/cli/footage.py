@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from rollcast.errors import FootageError
+from training.common.run_folder import BEST
 from training.common.settings import runs_folder
 from training.data.clip_dataset import Clips, load_clips
 from training.data.splits import Split
-from training.engine.trainer import BEST
 from training.recipes import RECIPES
 from training.recipes.recipe import Recipe
 from training.reporting import footage_page

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -10,6 +9,7 @@ from tqdm import tqdm
 
 from training.common.distributed import Share
 from training.common.precision import mixed_precision
+from training.common.run_folder import save_whole
 from training.data.windows import FRAME_SHAPE, Batch
 from training.networks.recurrent import EyedFamily, Sight, State
 
@@ -48,13 +48,6 @@ def read_windows(family: EyedFamily, stream: Iterator[Batch], windows: int, path
     progress.close()
     readings = {name: torch.cat(parts) for name, parts in kept.items()}
     save_whole(path, readings)
-
-
-def save_whole(path: Path, content: dict[str, Any]) -> None:
-    """Write a file so that it is never seen half-written."""
-    unfinished = path.with_suffix(".tmp")
-    torch.save(content, unfinished)
-    unfinished.replace(path)
 
 
 def rehearsed(

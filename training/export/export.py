@@ -30,8 +30,8 @@ from rollcast.manifest import (
     gaussian_radius,
 )
 from rollcast.trajectory import OBSERVED_FRAMES
+from training.common.run_folder import read_best
 from training.data.windows import Window, collate
-from training.engine.trainer import BEST
 from training.evaluation.evaluate import EvaluationSet, Shown, evaluation_sets, metric_rows, run
 from training.export.model_card import model_card
 from training.export.onnx_graphs import (
@@ -81,7 +81,7 @@ def export_run(
     ValueError
         When torch and ONNX Runtime differ by more than the tolerance.
     """
-    best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
+    best = read_best(folder)
     kind = (recipe.scenarios, recipe.task.objects, recipe.task.final_step)
     validation = evaluation_sets(*kind, "validation", recipe.validation_scenes, workers)
     test = evaluation_sets(*kind, "test", test_scenes, workers)

@@ -5,13 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from rollcast.manifest import Manifest, Rig
 from training.baselines.least_squares import POINTS, polynomial
+from training.common.run_folder import read_best
 from training.data.clip_dataset import EVERY, Clips
 from training.data.splits import Split
-from training.engine.trainer import BEST
 from training.evaluation.evaluate import EvaluationSet
 from training.export.export import export
 from training.export.ood_fit import familiarise_clips
@@ -45,7 +44,7 @@ def export_rig(
     ValueError
         When torch and ONNX Runtime differ by more than the tolerance.
     """
-    best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
+    best = read_best(folder)
     (member,) = recipe.members
     (predictor,) = recipe.build().networks().values()
     predictor.load_state_dict(best["weights"][member.name])

@@ -1,6 +1,6 @@
 """FieldNet: balls with an explicit state, moved over a map of the ground that the eye draws.
 
-A network of ours beside the paper's (design, section 4). Units as in ``eye.py``.
+A network of ours beside the paper's (decision 0016). Units as in ``eye.py``.
 """
 
 from collections.abc import Mapping

@@ -56,7 +56,7 @@ class Forecasts:
         return np.sqrt(squared.mean(axis=(0, 1)))
 
     def perplexity(self) -> Float[np.ndarray, " steps"] | None:
-        """Mean negative log likelihood in nats, as in the paper's tables (design, section 2)."""
+        """Mean negative log likelihood in nats, as in the paper's tables."""
         if self.covariances is None:
             return None
         nll = negative_log_likelihood(

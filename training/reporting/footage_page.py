@@ -17,7 +17,8 @@ from rollcast.tracking.track import track
 from training.common.settings import runs_folder
 from training.data.clip_dataset import SETUP_FILE, Clip, Clips, Setup, load_clips
 from training.data.splits import Split
-from training.engine.trainer import Trainer, TrainerConfig
+from training.engine.loop import TrainerConfig
+from training.engine.trainer import Trainer
 from training.export.load import initial_networks, load_exported
 from training.networks.recurrent import Family
 from training.objectives.metrics import forecast

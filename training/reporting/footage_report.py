@@ -19,11 +19,11 @@ from training.baselines.least_squares import POINTS, polynomial
 from training.baselines.states import HALF_FRAME_PX, States, turned
 from training.baselines.vin import Vin
 from training.baselines.vlstm import VLstm
+from training.common.run_folder import read_best
 from training.common.settings import runs_folder
 from training.data.clip_dataset import EVERY, Clips, ClipStream, Place
 from training.data.splits import Split
 from training.data.windows import Batch, Window, collate
-from training.engine.trainer import BEST
 from training.evaluation.evaluate import mean_error
 from training.export.export import fit_covariance, with_covariance
 from training.networks.recurrent import Family
@@ -126,7 +126,7 @@ def _measured(method: str, balls: str, made: Forecasts, moments: Sequence[int]) 
 
 def _network(rig: Rig, recipe: Recipe) -> Forecasts:
     """Forecast with a run's best weights; the ellipses' scale comes from the validation clips."""
-    best = torch.load(runs_folder() / recipe.name / BEST, map_location="cpu", weights_only=True)
+    best = read_best(runs_folder() / recipe.name)
     (name, network), *_ = recipe.build().networks().items()
     network.load_state_dict(best["weights"][name])
     family, cpu = Family({"it": network}), torch.device("cpu")
@@ -208,7 +208,7 @@ def _trained(
         return float(made(learner, "validation").errors_px()[:, :, T_TRAIN - 1].mean())
 
     folder = runs_folder() / "rig" / f"{name}-{rig.objects}"
-    learner = fit(build, fit_config, folder, validate)
+    learner = fit(build, fit_config, folder, validate).learner
     with torch.inference_mode():
         return made(learner, "test")
 

@@ -16,8 +16,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from rollcast.plot import PALETTE
 from rollcast.scene import SCENARIOS
+from training.common.run_folder import EVENTS, LOSS
 from training.data.windows import Window
-from training.engine.trainer import EVENTS, LOSS
 from training.objectives.metrics import Forecasts
 from training.reporting.markdown import title
 from training.reporting.results import LEVELS, Curve, Measurement, Results

@@ -19,11 +19,13 @@ from training.baselines.oracle import Oracle
 from training.baselines.states import States, StateSet
 from training.baselines.vin import Vin
 from training.baselines.vlstm import VLstm
+from training.common.run_folder import read_best
 from training.common.settings import runs_folder
 from training.data.scene_cache import load_scene_cache
 from training.data.shards import load_recordings, simulate_split
 from training.data.windows import Batch, TrainingStream, collate
-from training.engine.trainer import BEST, Trainer, TrainerConfig
+from training.engine.loop import TrainerConfig
+from training.engine.trainer import Trainer
 from training.export.load import load_exported
 from training.networks.recurrent import Family, Network
 from training.objectives.metrics import Forecasts, beside_truth, forecast, stays_put
@@ -195,7 +197,7 @@ def _from_states(
             return float(made.errors_px()[:, :, case.trained_horizon - 1].mean())
 
         chosen = fit_config(case, training, budget.sequences)
-        learner = fit(build, chosen, folder(case, method, budget), validate)
+        learner = fit(build, chosen, folder(case, method, budget), validate).learner
         with torch.inference_mode():
             return _forecasts(learner, test.states, test)
 
@@ -273,7 +275,7 @@ def _from_frames(
             return float(made.errors_px()[:, :, case.trained_horizon - 1].mean())
 
         chosen = fit_config(stream, budget.sequences)
-        learner = fit(partial(build, case), chosen, folder(case, method, budget), validate)
+        learner = fit(partial(build, case), chosen, folder(case, method, budget), validate).learner
         with torch.inference_mode():
             return _seen(learner, test)
 
@@ -348,7 +350,7 @@ def _trained(recipe: Recipe, member: str, budget: StudyBudget) -> Network:
     folder = runs_folder() / "studies" / (whole.name + budget.suffix)
     Trainer(whole, folder, TrainerConfig(simulators=budget.workers)).run()
     network = whole.build().networks()[member]
-    best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
+    best = read_best(folder)
     network.load_state_dict(best["weights"][member])
     return network
 

@@ -15,7 +15,9 @@ from training.common.distributed import (
     main_process_first,
     share,
 )
-from training.engine.trainer import CHECKPOINT, Trainer, TrainerConfig
+from training.common.run_folder import CHECKPOINT
+from training.engine.loop import TrainerConfig
+from training.engine.trainer import Trainer
 from training.recipes.compact import one_ball
 from training.recipes.field import field_one_ball_rolling
 from training.recipes.sighted import sighted_one_ball

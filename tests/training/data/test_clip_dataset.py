@@ -13,7 +13,8 @@ from rollcast.tracking.tracks import Tracks
 from tests.rollcast.tracking.billiards import COLOURS, FRAME_RATE, HEIGHT, WIDTH, billiards
 from training.cli.footage import rig_clips
 from training.data.clip_dataset import Clips, ClipStream, Place, load_clips
-from training.engine.trainer import Trainer, TrainerConfig
+from training.engine.loop import TrainerConfig
+from training.engine.trainer import Trainer
 from training.recipes import RECIPES
 
 FRAMES = 60

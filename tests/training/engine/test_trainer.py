@@ -6,15 +6,10 @@ import torch
 
 from tests.training.conftest import tiny
 from training.common.distributed import Share
+from training.common.run_folder import BEST
 from training.data.feature_cache import rehearsed
-from training.engine.trainer import (
-    BEST,
-    READINGS,
-    Trainer,
-    TrainerConfig,
-    shared_factor,
-    warmed_average,
-)
+from training.engine.loop import TrainerConfig, warmed_average
+from training.engine.trainer import READINGS, Trainer, shared_factor
 from training.engine.warm_start import Initial, load_fitting
 from training.networks.compact import compact_family
 from training.networks.task import Task

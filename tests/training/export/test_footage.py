@@ -11,8 +11,8 @@ from rollcast.client import Client
 from rollcast.footage import SquareCrop
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from tests.e2e.conftest import start_service, stop_service, wait_until_ready
+from training.common.run_folder import BEST
 from training.data.clip_dataset import Clip, Clips
-from training.engine.trainer import BEST
 from training.export.footage import export_rig
 from training.export.load import load_exported
 from training.recipes import RECIPES

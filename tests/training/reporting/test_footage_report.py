@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from rollcast.footage import SquareCrop
+from training.common.run_folder import BEST
 from training.data.clip_dataset import Clip, Clips
-from training.engine.trainer import BEST
 from training.recipes import RECIPES
 from training.reporting.footage_report import T_GEN, T_TRAIN, Measured, Rig, markdown, measure
 
