@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import pybullet
 
 from rollcast.camera import HEIGHTFIELD_HALF_WIDTH_M
 from rollcast.scene import Quaternion, Scene, Vector3
+from rollcast.simulation.bullet import pybullet
 from rollcast.surfaces import BOWL_RADIUS_M, EllipsoidalBowl, Surface, surface_of
 from rollcast.trajectory import FRAME_RATE_HZ, Trajectory
 

@@ -133,7 +133,7 @@ def turned(states: States, quarter_turns: Tensor, mirrored: Tensor) -> States:
 
 @cache
 def _symmetries() -> tuple[Tensor, Tensor]:
-    """Return the matrices of the symmetries: of image vectors [8, 2, 2] and of angular velocities [8, 3, 3]."""
+    """Return the symmetries of image vectors [8, 2, 2] and of angular velocities [8, 3, 3]."""
     images: list[np.ndarray] = []
     worlds: list[np.ndarray] = []
     middle = NETWORK_FRAME_SIZE / 2

@@ -13,7 +13,7 @@ from rollcast.simulation.recording import STOPPED_M_S, TEST_START
 from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ
 from training.baselines.least_squares import POINTS, polynomial
 from training.data.splits import seeds
-from training.evaluation.paper import angular_speed_rad_s, published
+from training.evaluation.paper import LINEAR_EXTRAPOLATION, angular_speed_rad_s, published
 
 LONGEST_FRAMES = 900
 """Frames in which every ball has long stopped."""
@@ -61,10 +61,10 @@ def report(scenes: int) -> str:
         ]
         speed = f"{ours.angular_speed_rad_s:.2f} ({angular_speed_rad_s(scenario)})"
         lines.append((scenario, *line, speed))
-    head = ("line T=20 px (paper)", "line T=40 px (paper)", "angular speed rad/s (paper)")
+    head = ("linear T=20 px (paper)", "linear T=40 px (paper)", "angular speed rad/s (paper)")
     return table(("scenario", *head), lines)
 
 
 def _line_of_the_paper(scenario: Scenario, at: str) -> str:
-    cell = published(scenario, 1, "line", at)
+    cell = published(scenario, 1, LINEAR_EXTRAPOLATION, at)
     return "-" if cell is None else str(cell.position_error_px)

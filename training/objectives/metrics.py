@@ -55,7 +55,7 @@ class Forecasts:
         squared = np.sum((self.angular_velocities - self.true_angular_velocities) ** 2, axis=-1)
         return np.sqrt(squared.mean(axis=(0, 1)))
 
-    def perplexity(self) -> Float[np.ndarray, " steps"] | None:
+    def nll_nats(self) -> Float[np.ndarray, " steps"] | None:
         """Mean negative log likelihood in nats, as in the paper's tables."""
         if self.covariances is None:
             return None

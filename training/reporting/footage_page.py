@@ -221,7 +221,7 @@ def left_out(shot: Shot, others: Sequence[Shot]) -> tuple[Rig, list[Measured]]:
         Family({"it": network}), of_pool.windows("test"), T_TRAIN, torch.device("cpu")
     )["it"]
     return of_pool, [
-        *measure(of_pool, ("stays put", "linear", "quadratic"), []),
+        *measure(of_pool, ("constant position", "linear", "quadratic"), []),
         *rows_of("fieldnet@1, as simulation taught it", untaught, of_pool.moments),
         *measure(of_pool, (), [recipe]),
     ]

@@ -137,7 +137,7 @@ def _network(rig: Rig, recipe: Recipe) -> Forecasts:
     return with_covariance(unseen, fit_covariance(known))["footage"]
 
 
-def _resting(rig: Rig) -> Forecasts:
+def _constant_position(rig: Rig) -> Forecasts:
     windows = rig.windows("test")
     truth = np.stack([window.positions for window in windows])
     return beside_truth(windows, stays_put(truth), None, None)
@@ -188,7 +188,7 @@ def _v_lstm(rig: Rig) -> Forecasts:
 
 
 BASELINES: Mapping[str, Callable[[Rig], Forecasts]] = {
-    "stays put": _resting,
+    "constant position": _constant_position,
     "linear": partial(_least_squares, 1),
     "quadratic": partial(_least_squares, 2),
     "ifs": _ifs,

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from rollcast.manifest import Manifest, MetricRow
 from rollcast.markdown import table
 from rollcast.scene import SCENARIOS, Scenario
+from training.evaluation.paper import CONSTANT_POSITION, LINEAR_EXTRAPOLATION
 from training.reporting.results import Measurement, Results
 
 BEGIN = "<!-- results: python -m training report -->"
@@ -40,7 +41,7 @@ def _overview(manifests: Sequence[Manifest]) -> str:
     """Table of models that follow the same number of balls."""
     reported = [{row.horizon for row in manifest.metrics} for manifest in manifests]
     horizons = sorted(set[int].intersection(*reported))
-    names = [*(manifest.name for manifest in manifests), "stays put", "line"]
+    names = [*(manifest.name for manifest in manifests), CONSTANT_POSITION, LINEAR_EXTRAPOLATION]
     lines: list[Sequence[str]] = []
     for scenario in SCENARIOS:
         for horizon in horizons:
@@ -87,10 +88,11 @@ PREAMBLE = """<!-- Made by `python -m training evaluate --all`; do not edit. -->
 
 Every committed model on the first {scenes} scenes of the test split, which training never saw, from
 the fixed test start. 128-pixel units; T is the horizon, so the error is that of step T - 1; "worst
-step" is the step with the largest mean error. "Stays put" rests at the true position of t = 0,
-"line" goes through ten true positions (t = -3..6). Covariances are those that the service answers
-with: the network's own times a scale per step fitted on validation scenes, or the covariance of its
-validation residuals. The paper's networks each saw about 17 million sequences."""
+step" is the step with the largest mean error. "Constant position" is the true position of t = 0,
+"linear extrapolation" a line through ten true positions (t = -3..6). Covariances are
+those that the service answers with: the network's own times a scale per step fitted on validation
+scenes, or the covariance of its validation residuals. The paper's networks each saw about 17
+million sequences."""
 
 
 def _table(cells: Sequence[Measurement]) -> str:
@@ -100,7 +102,7 @@ def _table(cells: Sequence[Measurement]) -> str:
         lines.append((
             cell.method, cell.at.removeprefix("T="),
             f"{cell.position_error_px:.2f} ± {cell.standard_error_px:.2f}",
-            _cell(cell.paper_px, 1), _cell(cell.angular_velocity_rmse), _cell(cell.perplexity),
+            _cell(cell.paper_px, 1), _cell(cell.angular_velocity_rmse), _cell(cell.nll_nats),
             _cell(cell.coverage_50), _cell(cell.coverage_95), seen,
         ))  # fmt: skip
     head = (

@@ -80,20 +80,35 @@ def _table(study: Study, results: Results) -> str:
             for case, at in columns
         ]
         given = "states" if row.given_states else "frames"
-        lines.append((row.method, given, *texts, _seen(results, row)))
-    return table(("method", "given", *heads, "trained on"), lines)
+        about = f"{row.architecture} / {row.taught_by}"
+        lines.append((row.method, about, given, *texts, *_training(results, row)))
+    ends = ("sequences", "optimiser steps", "trainings", "converged")
+    return table(("method", "architecture / taught by", "given", *heads, *ends), lines)
 
 
-def _seen(results: Results, row: Row) -> str:
-    """Training sequences of a line's cells, the fewest and the most where they differ."""
-    of_row = [
-        cell.training_sequences
-        for cell in results.cells
-        if cell.method == row.method and cell.training_sequences
-    ]
-    if not of_row:
-        return "-"
-    return " to ".join(f"{number:,}" for number in sorted({min(of_row), max(of_row)}))
+def _training(results: Results, row: Row) -> tuple[str, str, str, str]:
+    """Return sequences, steps, trainings of a line's cells, and in how many it has converged."""
+    cells = [c for c in results.cells if c.method == row.method and c.training_sequences]
+    if not cells:
+        return "-", "-", "-", "-"
+    if not row.learns:
+        return _range([c.training_sequences for c in cells]), "-", "-", "-"
+    ended = [cell.converged for cell in cells]
+    said = "not tested" if set(ended) == {None} else f"{ended.count(True)} of {len(ended)} cells"
+    return (
+        _range([cell.training_sequences for cell in cells]),
+        _range([cell.optimiser_steps for cell in cells]),
+        _range([cell.seeds for cell in cells]),
+        said,
+    )
+
+
+def _range(numbers: Sequence[int | None]) -> str:
+    """Return the smallest and the largest of some numbers, one where they are equal."""
+    known = [number for number in numbers if number is not None]
+    if not known:
+        return "not noted"
+    return " to ".join(f"{number:,}" for number in sorted({min(known), max(known)}))
 
 
 def _table_by_scenes(study: Study, results: Results) -> str:
@@ -124,14 +139,18 @@ def _found(results: Results, case: BenchmarkCase, method: str, at: str) -> Measu
 
 
 def _cell(cell: Measurement | None, best: float | None) -> str:
-    """Our error, angular velocity's in brackets, and the paper's after a stroke."""
+    """Error, its spread over seeds, angular velocity's, likelihood, and the paper's error."""
     if cell is None:
         return MISSING
     ours = f"{cell.position_error_px:.1f}"
     if cell.position_error_px == best:
         ours = f"**{ours}**"
+    if cell.seed_spread_px is not None:
+        ours += f" ± {cell.seed_spread_px / 2:.1f}"
     if cell.angular_velocity_rmse is not None:
         ours += f" ({cell.angular_velocity_rmse:.1f})"
+    if cell.nll_nats is not None:
+        ours += f" [{cell.nll_nats:.1f} nats]"
     paper = "-" if cell.paper_px is None else f"{cell.paper_px:.1f}"
     return f"{ours} / {paper}"
 

@@ -49,7 +49,7 @@ def by_balls(rows: list[Measured]) -> dict[str, dict[int, float]]:
 
 
 def test_who_stays_put_errs_by_the_way_that_balls_go(rig):
-    errors = by_balls(list(measure(rig, ["stays put"], [])))
+    errors = by_balls(list(measure(rig, ["constant position"], [])))
     for t in (T_TRAIN, T_GEN):
         assert errors["all"][t] == pytest.approx(np.mean(SPEED_PX) * (t - 1), abs=1e-3)
         assert errors["first"][t] == pytest.approx(SPEED_PX[0] * (t - 1), abs=1e-3)
