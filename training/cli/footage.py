@@ -15,10 +15,10 @@ from training.data.splits import Split
 from training.recipes import RECIPES
 from training.recipes.recipe import Recipe
 from training.reporting import footage_page
-from training.reporting.footage_report import BASELINES, Rig, markdown, measure
+from training.reporting.footage_report import BASELINES, SetupClips, markdown, measure
 from training.studies.publish import DOCS
 
-PREFIX = "rig-"
+PREFIX = "setup-"
 Baselines = Annotated[
     list[str] | None,
     typer.Option(
@@ -30,11 +30,11 @@ Baselines = Annotated[
 
 def add_to(app: typer.Typer) -> None:
     """Add the commands."""
-    app.command("setup")(rig)
+    app.command("setup")(setup)
     app.command("real")(real)
 
 
-def rig(
+def setup(
     recipe: Annotated[
         str,
         typer.Argument(
@@ -61,7 +61,7 @@ def real(
 def clips_of(recipe: str, data: Path | None, balls: Sequence[int] | None) -> SplitClips | None:
     """Return the clips that a command was given; None for a recipe on scenes."""
     try:
-        return rig_clips(recipe_of(recipe), data, balls)
+        return setup_clips(recipe_of(recipe), data, balls)
     except FootageError as error:
         failed(error)
 
@@ -75,10 +75,10 @@ def _measured(
         return
     clips = clips_of(name, data, balls)
     assert clips is not None
-    rig = Rig(clips)
+    setup = SetupClips(clips)
     there = (runs_folder() / recipe.name / BEST).exists()
-    rows = list(measure(rig, baselines, [recipe] if there else []))
-    yield markdown(rows, rig)
+    rows = list(measure(setup, baselines, [recipe] if there else []))
+    yield markdown(rows, setup)
 
 
 def _page(clips: Path, baselines: Sequence[str]) -> Iterator[str]:
@@ -94,7 +94,7 @@ def _page(clips: Path, baselines: Sequence[str]) -> Iterator[str]:
     yield from footage_page.make(clips, DOCS / "results" / "real.md", baselines)
 
 
-def rig_clips(
+def setup_clips(
     recipe: Recipe, folder: Path | None, balls: Sequence[int] | None
 ) -> dict[Split, Clips] | None:
     """Return what a recipe trains on where it is made for footage; None for simulated scenes.
@@ -115,7 +115,7 @@ def rig_clips(
         raise FootageError(f"{recipe.name} is trained on clips; name their folder with --data")
     if recipe.scenarios:
         raise FootageError(
-            f"{recipe.name} is trained on simulated scenes; --data is for the recipes rig-..."
+            f"{recipe.name} is trained on simulated scenes; --data is for the recipes setup-..."
         )
     objects = recipe.task.objects
     splits = load_clips(folder)

@@ -25,7 +25,7 @@ from training.data.shards import Source
 from training.evaluation.error_breakdown import dissected, dissection_table
 from training.evaluation.evaluate import evaluation_sets, markdown_table, metric_rows, run
 from training.export.export import export_run, with_covariance
-from training.export.footage import export_rig
+from training.export.footage import export_setup
 from training.export.load import load_exported
 from training.export.ood_fit import FAMILIAR_SCENES, familiarise
 from training.export.static_quantisation import NotWorthItError
@@ -109,7 +109,7 @@ def export(
     try:
         if clips is not None:
             called = name or chosen.members[0].name
-            _show([export_rig(chosen, folder, clips, models, called, version)])
+            _show([export_setup(chosen, folder, clips, models, called, version)])
             return
         manifests = export_run(chosen, folder, models, version, scenes, workers)
     except FileNotFoundError as error:

@@ -165,7 +165,7 @@ def export(
             "interaction": task.interaction,
             "scenes" if trained.filmed is None else "clips": {**trained.sources},
         },
-        rig=None if trained.filmed is None else trained.filmed.rig,
+        setup=None if trained.filmed is None else trained.filmed.setup,
         metrics=judged.rows,
         validation_error_px=judged.validation_error_px,
         parity=parity,

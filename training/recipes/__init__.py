@@ -22,7 +22,7 @@ from training.recipes.field import (
 )
 from training.recipes.paper import paper_dispnet, paper_interpnet, paper_posnet, paper_probnet
 from training.recipes.recipe import Recipe
-from training.recipes.rig import rig, rig_continued, rig_seeing
+from training.recipes.setup import setup, setup_continued, setup_seeing
 from training.recipes.sighted import (
     sighted_one_ball,
     sighted_one_ball_between,
@@ -61,7 +61,7 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "paper-interpnet": paper_interpnet,
     **{
         stage(objects).name: partial(stage, objects)
-        for stage in (rig, rig_seeing, rig_continued)
+        for stage in (setup, setup_seeing, setup_continued)
         for objects in range(1, MAX_FORECAST_OBJECTS + 1)
     },
 }

@@ -8,7 +8,7 @@ from rollcast.tracking.tracks import Tracks
 from tests.rollcast.tracking.billiards import RADIUS_PX, billiards
 from training.__main__ import app
 from training.data.clip_dataset import Clips, Setup
-from training.recipes.rig import T_TRAIN
+from training.recipes.setup import T_TRAIN
 from training.reporting.footage_page import (
     FootageSource,
     Shot,
