@@ -36,6 +36,7 @@ NOT_RUN = {
         "research.md",
         "python -m training evaluate --all        # docs/results: tables, curves, ellipses",
     ): HOURS,
+    ("research.md", "python -m training train tiny"): SERVER,
     ("research.md", "python -m training train field-one-ball"): HOURS,
     (
         "setup.md",

@@ -9,8 +9,8 @@ from rollcast.manifest import MANIFEST_FILE, Manifest
 from training.cli.options import CORES, MODELS, Workers, failed, one_of
 from training.engine.loop import TrainingStoppedError
 from training.reporting.markdown import with_results
-from training.reporting.results import committed
-from training.studies import STUDIES
+from training.reporting.results import Results, committed
+from training.studies import STUDIES, reproduced
 from training.studies.publish import DOCS, RESULTS, publish_study
 from training.studies.rows import BUDGET, STATE_BUDGET, StudyBudget
 
@@ -57,9 +57,11 @@ def study(
 
 
 def report() -> None:
-    """Write the README's table and the studies' pages from what was measured."""
+    """Write the README's table, the studies' pages and docs/reproduced.md from the results."""
     manifests = [Manifest.read(folder / MANIFEST_FILE) for folder in committed(MODELS)]
     text = README.read_text(encoding="utf-8")
     README.write_text(with_results(text, manifests), encoding="utf-8")
     for one in STUDIES.values():
         publish_study(one, DOCS)
+    results = Results.read(DOCS / "results" / RESULTS)
+    (DOCS / reproduced.NAME).write_text(reproduced.page(results), encoding="utf-8")

@@ -54,7 +54,7 @@ class Measurement:
         What is special about its scenes; "" for all that a scenario has.
     optimiser_steps, converged
         Of a row that the study trained: the steps of a training, and whether the validation error
-        of all of them hardly fell over the last fifth; None where nobody looked.
+        of all of them hardly fell over the last fifth; None where that was not tested.
     seeds
         Trainings that the figures are means of.
     seed_spread_px

@@ -14,7 +14,7 @@ from training.evaluation.paper import CELLS, published
 from training.recipes.compact import ONE_BALL_DATA
 from training.reporting.plots import _look, draw_errors, draw_group
 from training.reporting.results import Curve, Measurement, Results
-from training.studies import STUDIES
+from training.studies import STUDIES, reproduced
 from training.studies.benchmark_case import BenchmarkCase, FixedScenes
 from training.studies.claims import CLAIMS, Claim, Comparison, compared, verdicts
 from training.studies.publish import publish_study
@@ -248,3 +248,12 @@ def test_the_committed_pages_are_those_of_the_committed_results():
     for study in STUDIES.values():
         file = ROOT / "docs" / "results" / f"{study.name}.md"
         assert file.read_text() == page(study, results)
+    assert (ROOT / "docs" / reproduced.NAME).read_text() == reproduced.page(results)
+
+
+def test_the_page_of_what_was_reproduced_counts_every_claim_once():
+    text = reproduced.page(Results((), ()))
+    assert f"Of {len(CLAIMS)} claims: 0 holds, 0 does not hold" in text
+    assert all(claim.text in text for claim in CLAIMS)
+    near = [replace(_cell("a", error), study="long-term", paper_px=1.0) for error in (1.5, 1.6)]
+    assert "| a | 1 of 2 |" in reproduced.page(Results(tuple(near), ()))
