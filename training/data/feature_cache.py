@@ -1,4 +1,4 @@
-"""What a taught eye reads of training windows, kept: seen once, rehearsed as often as one likes."""
+"""What a taught eye reads of training windows, kept: seen once, replayed as often as one likes."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -50,7 +50,7 @@ def read_windows(family: EyedFamily, stream: Iterator[Batch], windows: int, path
     save_whole(path, readings)
 
 
-def rehearsed(
+def replayed(
     path: Path, batch_size: int, seed: int, first_batch: int, share: Share
 ) -> Iterator[Batch]:
     """Draw a share of batches of readings for ever; batch k depends on the seed and on k alone."""

@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader
 
 from training.common import distributed
 from training.data.clip_dataset import Clips, ClipStream
-from training.data.feature_cache import read_windows, rehearsed
+from training.data.feature_cache import read_windows, replayed
 from training.data.scene_cache import load_scene_cache
 from training.data.shards import Source, load_recordings, simulate_split
 from training.data.splits import Split
@@ -27,7 +27,7 @@ from training.recipes.recipe import Recipe, longest_rollout
 
 READINGS = "readings.pt"
 READ_TOGETHER = 32
-"""Windows that are read at once to be rehearsed."""
+"""Windows that are read at once to be replayed."""
 VALIDATION_STRIDE = 5
 """Frames between the validation windows of a clip."""
 SHARED_WARM_UP = 0.02
@@ -68,7 +68,7 @@ class Trainer(TrainingLoop[Batch]):
         self._earlier_sequences = initial[0].sequences if initial else 0
         for network in self.family.networks().values():
             for name, parameter in network.named_parameters():
-                parameter.requires_grad_(not name.startswith(recipe.taught))
+                parameter.requires_grad_(not name.startswith(recipe.frozen))
         # torch's own annotations leave memory_format out.
         self.family.to(self.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         optimisation = Optimisation(
@@ -102,22 +102,22 @@ class Trainer(TrainingLoop[Batch]):
 
     @property
     def _windows_seen(self) -> int:
-        """Training windows seen so far; those that are rehearsed count once."""
-        rehearsal = self.recipe.rehearsal
-        return min(self.sequences, rehearsal) if rehearsal else self.sequences
+        """Training windows seen so far; those that are replayed count once."""
+        replayed_windows = self.recipe.replay_windows
+        return min(self.sequences, replayed_windows) if replayed_windows else self.sequences
 
     def _stream(self) -> Iterator[Batch]:
         """Return the batches from the next one on: seen anew, or drawn from readings."""
         recipe = self.recipe
         practice = recipe.explicit.practice if recipe.explicit else 0
-        if not recipe.rehearsal:
+        if not recipe.replay_windows:
             return self._fresh(recipe.batch_size, self.batches, practice=practice)
         path = self.folder / READINGS
         if not path.exists():
             assert isinstance(self.family, EyedFamily)
             whole = self._fresh(READ_TOGETHER, 0, share=distributed.Share())
-            read_windows(self.family, whole, recipe.rehearsal, path)
-        batches = rehearsed(path, recipe.batch_size, recipe.seed, self.batches, distributed.share())
+            read_windows(self.family, whole, recipe.replay_windows, path)
+        batches = replayed(path, recipe.batch_size, recipe.seed, self.batches, distributed.share())
         if not practice:
             return batches
         unseen = self._fresh(practice, self.batches, seen=False)

@@ -101,7 +101,7 @@ def export(
     validation: Sequence[EvaluationSet[Shown]],
     test: Sequence[EvaluationSet[Shown]],
 ) -> Manifest:
-    """Write ``models/NAME/VERSION`` and prove that it computes what torch does.
+    """Write ``models/NAME/VERSION`` and validate that it computes what torch does.
 
     Parameters
     ----------
@@ -126,9 +126,9 @@ def export(
     windows = _spread(validation, 3)
     # Not beyond the trained horizon: there a rollout may magnify any rounding.
     parity = measure_parity(predictor, folder, windows, horizons=(max(horizon // 2, 1), horizon))
-    judged = judge(partial(run, predictor), validation, test, horizon)
+    summary = evaluate(partial(run, predictor), validation, test, horizon)
     observation = first_observation(predictor, sample)
-    card = model_card(trained, version, judged.rows, judged.covariance)
+    card = model_card(trained, version, summary.rows, summary.covariance)
     (folder / CARD_FILE).write_text(card, encoding="utf-8")
     manifest = Manifest(
         format_version=1,
@@ -157,7 +157,7 @@ def export(
             )
             for name in observation
         ),
-        covariance=judged.covariance,
+        covariance=summary.covariance,
         angular_velocity="angular_velocities" in observation,
         training={
             "sequences": trained.sequences,
@@ -166,8 +166,8 @@ def export(
             "scenes" if trained.filmed is None else "clips": {**trained.sources},
         },
         setup=None if trained.filmed is None else trained.filmed.setup,
-        metrics=judged.rows,
-        validation_error_px=judged.validation_error_px,
+        metrics=summary.rows,
+        validation_error_px=summary.validation_error_px,
         parity=parity,
         golden_tolerance={name: TOLERANCE[name] for name in observation},
         files=hashes(folder),
@@ -186,7 +186,7 @@ class EvaluationSummary:
     validation_error_px: float
 
 
-def judge(
+def evaluate(
     forecast: Callable[[Sequence[EvaluationSet[Shown]]], Mapping[Shown, Forecasts]],
     validation: Sequence[EvaluationSet[Shown]],
     test: Sequence[EvaluationSet[Shown]],

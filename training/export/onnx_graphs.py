@@ -175,7 +175,7 @@ def drop_traces(graph: onnx.GraphProto) -> None:
 
 
 class Graphs:
-    """An artefact's graphs, opened on one thread as the service does: to prove and to measure them.
+    """An artefact's graphs, opened on one thread as in the service, to validate them.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ def setup_seeing(objects: int) -> Recipe:
         name=f"{recipe.name}-seeing",
         curriculum=horizons,
         explicit=replace(recipe.explicit, curriculum=horizons),
-        taught=("rolling.", "first_doubt."),
+        frozen=("rolling.", "first_doubt."),
         average_decay=0.995,
     )
 
