@@ -10,7 +10,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -167,33 +167,36 @@ class TrainingLoop(ABC, Generic[Item]):
                 self._step(next(stream), self.progress)
             return math.inf
         total = self.optimisation.batches
-        events = SummaryWriter(str(self.folder / EVENTS), purge_step=self.sequences)
-        bar = tqdm(total=total, initial=self.batches, unit="batch", desc=self.folder.name)
         try:
             with interrupted_between_steps() as step:
-                while True:
-                    self._validate_if_due(events)
-                    if self._ended:
-                        break
-                    with step():
-                        loss = self._step(next(stream), self.progress)
-                    bar.update()
-                    if self.batches % 20 == 0:
-                        bar.set_postfix(loss=f"{loss:.3g}", best=f"{self.best_error:.2f} px")
-                        events.add_scalar(LOSS, loss, self.sequences)
-                    if time.monotonic() - self._checkpoint_time > self._config.checkpoint_seconds:
-                        self._save_checkpoint()
+                self._train(stream, step)
         except KeyboardInterrupt:
             self._save_checkpoint()
             raise TrainingStoppedError(
                 f"stopped after {self.batches:,} of {total:,} batches; the checkpoint is in "
                 f"{self.folder}, and the same command goes on from there"
             ) from None
-        finally:
-            bar.close()
-            events.close()
         self._save_checkpoint()
         return self.best_error
+
+    def _train(self, stream: Iterator[Item], step: Callable[[], Any]) -> None:
+        """Take steps, validate and save until the training has ended."""
+        events = SummaryWriter(str(self.folder / EVENTS), purge_step=self.sequences)
+        total = self.optimisation.batches
+        bar = tqdm(total=total, initial=self.batches, unit="batch", desc=self.folder.name)
+        with closing(events), closing(bar):
+            while True:
+                self._validate_if_due(events)
+                if self._ended:
+                    return
+                with step():
+                    loss = self._step(next(stream), self.progress)
+                bar.update()
+                if self.batches % 20 == 0:
+                    bar.set_postfix(loss=f"{loss:.3g}", best=f"{self.best_error:.2f} px")
+                    events.add_scalar(LOSS, loss, self.sequences)
+                if time.monotonic() - self._checkpoint_time > self._config.checkpoint_seconds:
+                    self._save_checkpoint()
 
     def _step(self, batch: Item, progress: float) -> float:
         self.module.train()

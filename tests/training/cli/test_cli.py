@@ -66,12 +66,12 @@ def test_ctrl_c_says_how_to_go_on(runs):
     command = [sys.executable, "-m", "training", "train", "tiny", "--scenes", "50"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     events = runs / "tiny" / "events"
-    deadline = time.monotonic() + 300
+    deadline = time.monotonic() + 1200
     while not events.exists() and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.1)
     time.sleep(1)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=300)
+    _, errors = process.communicate(timeout=1200)
     assert process.returncode == 130, errors
     assert "Traceback" not in errors
     assert "the same command goes on from there" in errors.splitlines()[-1]
