@@ -143,7 +143,7 @@ class Unfamiliar(_Part):
     test_windows: Annotated[int, Field(ge=1)]
 
 
-class Rig(_Part):
+class CameraSetup(_Part):
     """The set-up whose footage a model was trained on."""
 
     colors: tuple[BallColor, ...]
@@ -185,7 +185,7 @@ class Manifest(_Part):
     parity: Parity
     golden_tolerance: dict[OutputName, Positive]
     """Largest absolute difference from golden.npz at which the model is served."""
-    rig: Rig | None = None
+    setup: CameraSetup | None = None
     """Of models for footage, and of them alone."""
     unfamiliar: Unfamiliar | None = None
     """None without FAMILIARITY_FILE: such a model cannot tell."""
@@ -210,10 +210,10 @@ class Manifest(_Part):
             raise ValueError(f"final_step is {self.final_step} with {self.frames} frames")
         if set(self.files) - {EYE_FILE, FAMILIARITY_FILE} != set(HASHED_FILES):
             raise ValueError(f"files are {sorted(self.files)}, expected {sorted(HASHED_FILES)}")
-        if (self.rig is not None) != ("footage" in self.scenarios):
-            raise ValueError(f"rig belongs to footage, the scenarios are {self.scenarios}")
+        if (self.setup is not None) != ("footage" in self.scenarios):
+            raise ValueError(f"setup belongs to footage, the scenarios are {self.scenarios}")
         if len(self.colors) != self.objects:
-            raise ValueError(f"rig has {len(self.colors)} colors for {self.objects} objects")
+            raise ValueError(f"setup has {len(self.colors)} colors for {self.objects} objects")
         if (self.unfamiliar is None) == (FAMILIARITY_FILE in self.files):
             raise ValueError(f"{FAMILIARITY_FILE} and unfamiliar belong together")
         if set(self.golden_tolerance) != wanted:
@@ -244,7 +244,7 @@ class Manifest(_Part):
     @property
     def colors(self) -> tuple[BallColor, ...]:
         """Of each ball, in the order of all outputs."""
-        return COLORS[: self.objects] if self.rig is None else self.rig.colors
+        return COLORS[: self.objects] if self.setup is None else self.setup.colors
 
     @property
     def output_names(self) -> tuple[OutputName, ...]:

@@ -386,7 +386,7 @@ class ModelMetrics(ResponseBody):
     """One row per split, scenario and horizon (``rollcast.manifest.MetricRow``)."""
 
 
-class ModelRig(ResponseBody):
+class ModelSetup(ResponseBody):
     """The set-up whose footage a model was trained on."""
 
     colors: list[BallColor]
@@ -411,7 +411,7 @@ class ModelEntry(ResponseBody):
     objects: int | None = None
     frame_rate_hz: float | None = None
     """Frames a second of what it was trained on."""
-    rig: ModelRig | None = None
+    setup: ModelSetup | None = None
     """The set-up that it was trained on, where its scenarios are ``footage``."""
     frames: int | None = None
     """Frames that it reads: 4, or 5 with a final frame."""

@@ -127,5 +127,5 @@ def _known(service: Client, model: str) -> tuple[float, SquareCrop | None]:
         return FRAME_RATE_HZ, None
     name, _, version = model.partition("@")
     entry = service.model(name, int(version) if version.isdecimal() else None)
-    crop = None if entry.rig is None else SquareCrop(*entry.rig.crop)
+    crop = None if entry.setup is None else SquareCrop(*entry.setup.crop)
     return entry.frame_rate_hz or FRAME_RATE_HZ, crop

@@ -16,6 +16,7 @@ import numpy as np
 from rollcast.camera import HEIGHTFIELD_HALF_WIDTH_M
 from rollcast.errors import MissingExtraError
 from rollcast.scene import Quaternion, Scene, Vector3
+from rollcast.simulation.bullet import pybullet
 from rollcast.surfaces import BOWL_RADIUS_M, EllipsoidalBowl, Surface, surface_of
 from rollcast.trajectory import FRAME_RATE_HZ, Trajectory
 

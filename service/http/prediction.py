@@ -6,6 +6,7 @@ import numpy as np
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import Manifest
+from rollcast.rollout import Outputs, stacked
 from rollcast.schemas import (
     DEFAULT_HORIZON,
     ForecastObject,
@@ -21,7 +22,7 @@ from rollcast.schemas import (
 from service.errors import InvalidValueError
 from service.http.image_decoding import Check, decode_frames
 from service.inference.deadlines import CancellationToken
-from service.inference.rollout import Forecast, Outputs, assemble, stacked
+from service.inference.rollout import Forecast, assemble
 from service.inference.scheduler import DecodedRequest
 from service.observability.metrics import Metrics
 from service.observability.tracing import Stages

@@ -18,9 +18,10 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 from jaxtyping import UInt8
 
+from rollcast.rollout import Arrays, Outputs
 from service.inference.admission import AdmissionLimit, Gauge
 from service.inference.deadlines import CancellationToken
-from service.inference.rollout import Arrays, Outputs, Predictor
+from service.inference.rollout import Predictor
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)

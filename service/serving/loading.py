@@ -23,8 +23,9 @@ from rollcast.manifest import (
     MANIFEST_FILE,
     Manifest,
 )
+from rollcast.rollout import roll_out
 from service.inference.onnx_runtime import OnnxPredictor
-from service.inference.rollout import Predictor, roll_out
+from service.inference.rollout import Predictor
 from service.serving.registry import Model, Registry
 
 PredictorFactory = Callable[[Path, Manifest], Predictor]

@@ -163,7 +163,7 @@ class Registry:
         return predictor
 
     def _choose_best(self, query: ModelQuery) -> Predictor:
-        """Apply the design's rule for "auto" to the default versions.
+        """Apply the rule for "auto" (decision 0106) to the default versions.
 
         A model for footage knows one set-up alone, so it is chosen where footage is asked for, or
         where nothing else forecasts so many balls (decision 0129).

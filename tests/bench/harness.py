@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import psutil
 
+from rollcast import markdown
 from rollcast.client import Client
 from tests.bench.load import Times
 from tests.bench.loop import ROOT
@@ -34,7 +35,7 @@ class Finding:
         middle = float(np.median(self.rounds))
         spread = f"{min(self.rounds):.2f} .. {max(self.rounds):.2f}"
         kept = "yes" if self.kept(middle) else "**no**"
-        return f"| {self.what} | {middle:.2f} {self.unit} | {spread} | {self.promise} | {kept} |"
+        return markdown.row((self.what, f"{middle:.2f} {self.unit}", spread, self.promise, kept))
 
 
 @contextmanager

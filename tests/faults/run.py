@@ -23,6 +23,7 @@ from urllib.parse import urlsplit
 import httpx2
 import psutil
 
+from rollcast import markdown
 from rollcast.client import Client
 from rollcast.manifest import ENCODER_FILE, STEP_FILE
 from tests.bench.harness import answering, service
@@ -412,7 +413,7 @@ def main() -> int:
         try:
             asyncio.run(fault(report, times))
         except SkippedError as error:
-            print(f"| {name} | - | - | - | not tried: {error} | - | - |", flush=True)
+            print(markdown.row((name, *"---", f"not tried: {error}", *"--")), flush=True)
             continue
         print(report.row(), flush=True)
         well = well and report.well

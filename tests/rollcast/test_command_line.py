@@ -97,8 +97,8 @@ def write_images(folder, count):
 
 
 def test_a_model_for_footage_gets_what_it_knows(run, service, video):
-    rig = {"colors": ["#ff0000"], "crop": [20, 4, 60]}
-    service.known = {"scenarios": ["footage"], "frame_rate_hz": 30.0, "rig": rig}
+    setup = {"colors": ["#ff0000"], "crop": [20, 4, 60]}
+    service.known = {"scenarios": ["footage"], "frame_rate_hz": 30.0, "setup": setup}
     code, printed, errors = run(video, "--model", "dot@3", "--horizon", 2)
     assert (code, errors) == (0, "")
     lines = printed.splitlines()

@@ -36,7 +36,7 @@ STORED_FRAMES = 288
 """Frames kept of every simulation, from its start."""
 
 SHARDS_PER_WORKER = 4
-"""Shards after which a worker process is replaced: PyBullet leaks (design, section 3)."""
+"""Shards after which a worker process is replaced: PyBullet leaks (decision 0104)."""
 
 
 @dataclass(frozen=True)

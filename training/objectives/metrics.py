@@ -55,8 +55,8 @@ class Forecasts:
         squared = np.sum((self.angular_velocities - self.true_angular_velocities) ** 2, axis=-1)
         return np.sqrt(squared.mean(axis=(0, 1)))
 
-    def perplexity(self) -> Float[np.ndarray, " steps"] | None:
-        """Mean negative log likelihood in nats, as in the paper's tables (design, section 2)."""
+    def nll_nats(self) -> Float[np.ndarray, " steps"] | None:
+        """Mean negative log likelihood in nats, as in the paper's tables."""
         if self.covariances is None:
             return None
         nll = negative_log_likelihood(

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from rollcast.manifest import CovarianceSource
+from rollcast.rollout import Step, roll_out, stacked
 from service.errors import DivergedError
-from service.inference.rollout import Forecast, Step, assemble, roll_out, stacked
+from service.inference.rollout import Forecast, assemble
 from tests.service.samples import DotPredictor, dot, manifest
 
 FRAMES = np.stack([[dot(40 + 2 * index, 60 + index) for index in range(4)]])

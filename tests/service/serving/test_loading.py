@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rollcast.manifest import CARD_FILE, ENCODER_FILE, GOLDEN_FILE, HASHED_FILES, MANIFEST_FILE
-from service.inference.rollout import roll_out
+from rollcast.rollout import roll_out
 from service.serving.loading import begin_loading, load_registry
 from tests.service.samples import DotPredictor, dot, manifest
 

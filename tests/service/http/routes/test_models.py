@@ -12,7 +12,7 @@ def test_every_version_is_listed_with_its_status(client):
         "scenarios": ["hemisphere", "ellipsoid", "heightfield"],
         "objects": 1,
         "frame_rate_hz": 40.0,
-        "rig": None,
+        "setup": None,
         "frames": 4,
         "final_step": None,
         "trained_horizon": 20,
