@@ -5,6 +5,8 @@ import os
 from collections.abc import Generator
 from contextlib import contextmanager
 
+from rollcast.errors import MissingExtraError
+
 
 @contextmanager
 def _silenced_stdout() -> Generator[None]:
@@ -28,5 +30,8 @@ def _silenced_stdout() -> Generator[None]:
         os.close(nowhere)
 
 
-with _silenced_stdout():
-    import pybullet as pybullet
+try:
+    with _silenced_stdout():
+        import pybullet as pybullet
+except ImportError as error:
+    raise MissingExtraError("simulations need", "pybullet", "simulation") from error

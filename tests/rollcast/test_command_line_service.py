@@ -347,7 +347,7 @@ Options:
                                   --final up to that frame)
   --model NAME                    auto, NAME or NAME@VERSION  [default: auto]
   --objects BALLS                 how many balls there are (default: the model's, with auto 1)
-  --scenario <hemisphere|ellipsoid|heightfield|footage>
+  --scenario <hemisphere|ellipsoid|heightfield|table|footage>
                                   let auto choose among models made for it
   --url ADDRESS                   address of the service (default: ROLLCAST_URL, else
                                   http://127.0.0.1:8000)
@@ -370,7 +370,7 @@ Usage: rollcast simulate [OPTIONS] {SCENARIO}
     rollcast simulate heightfield --steps 200 --size 512 --out scene.mp4 --slower 2
 
 Arguments:
-  SCENARIO <hemisphere|ellipsoid|heightfield>
+  SCENARIO <hemisphere|ellipsoid|heightfield|table>
                                   what the balls roll in  [required]
 
 Options:

@@ -378,6 +378,7 @@ ImportError
 TimeoutError
   RequestTimeoutError
 ValueError
+  FrameError
   InvalidArgumentError\
 """)
 
