@@ -74,7 +74,7 @@ def gaussian_radius(share: float) -> float:
     return math.sqrt(-2 * math.log(1 - share))
 
 
-GAUSSIAN_HALF_RADIUS = gaussian_radius(0.5)
+GAUSSIAN_ELLIPSE50_RADIUS = gaussian_radius(0.5)
 
 
 class CovarianceSource(_Part):
@@ -86,7 +86,7 @@ class CovarianceSource(_Part):
     """Predicted: factor on the covariance of each step, the last one held beyond."""
     empirical: tuple[Matrix2, ...] | None = None
     """Empirical: covariance of the residuals at each step, the last one held beyond."""
-    half_radius: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    ellipse50_radius: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     """Radius, in standard deviations, of the ellipse that held half of the validation data at each
     step, the last one held beyond; None is a Gaussian's. Residuals with heavy tails need less."""
 

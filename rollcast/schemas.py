@@ -173,7 +173,7 @@ class PredictResponse(ForecastSummary):
     objects: list[ForecastObject]
     times_s: list[float]
     """Seconds after the last observed frame of each step."""
-    half_radii: list[float]
+    ellipse50_radii: list[float]
     """[horizon]: radius, in standard deviations of ``covariances``, of the ellipse that should hold
     the truth every second time; 1.18 of a Gaussian, less where the model's errors have heavy tails.
     The ellipse that should hold 95 % always has a Gaussian's radius, 2.45."""
@@ -197,8 +197,8 @@ class StreamStep(ResponseBody):
     step: int
     time_s: float
     """Seconds after the last observed frame."""
-    half_radius: float
-    """Of this step, as in ``PredictResponse.half_radii``."""
+    ellipse50_radius: float
+    """Of this step, as in ``PredictResponse.ellipse50_radii``."""
     objects: list[StreamObject]
 
 
@@ -402,7 +402,7 @@ class ModelEntry(ResponseBody):
     version: int
     default: bool = False
     """A bare NAME means this version."""
-    status: Literal["ready", "refused", "unloaded"]
+    status: Literal["ready", "invalid", "unloaded"]
     reason: str | None = None
     """Why it is not ready."""
     variant: str | None = None

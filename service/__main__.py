@@ -28,11 +28,11 @@ def main() -> int:
         return _fail("; ".join(": ".join(map(str, fault)) for fault in faults))
     except ValueError as error:
         return _fail(str(error))
-    if settings.keys_file is None and not settings.anonymous and not _is_loopback(host):
+    if settings.keys_file is None and not settings.allow_unauthenticated and not _is_loopback(host):
         return _fail(
             f"will not listen on {host} without API keys, for others may reach it. Name a file of "
             "keys (python -m service.auth makes it): ROLLCAST_KEYS_FILE=keys.json. Or let "
-            "everybody ask: ROLLCAST_ANONYMOUS=true"
+            "everybody ask: ROLLCAST_ALLOW_UNAUTHENTICATED=true"
         )
     try:
         listener = socket.create_server((host, port), family=family)
@@ -84,7 +84,7 @@ def _parser(settings: str) -> argparse.ArgumentParser:
         "--host",
         default="127.0.0.1",
         help="address to listen on; 0.0.0.0 opens the service to the network, which needs API keys "
-        "or ROLLCAST_ANONYMOUS=true (default: this machine alone)",
+        "or ROLLCAST_ALLOW_UNAUTHENTICATED=true (default: this machine alone)",
     )
     parser.add_argument(
         "--port",

@@ -94,6 +94,6 @@ async def _load(state: State, name: str) -> None:
 
 
 def _usable(loaded: Model, before: Model | None) -> Model:
-    if before is None or before.status != "ready" or loaded.status != "refused":
+    if before is None or before.status != "ready" or loaded.status != "invalid":
         return loaded
     return before

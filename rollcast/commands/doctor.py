@@ -130,7 +130,7 @@ def _models(service: Client) -> Iterator[Finding]:
         "ok" if ready else "FAIL", "models", f"{len(ready)} of {len(entries)} can be used"
     )
     for entry in entries:
-        if entry.status == "refused":
+        if entry.status == "invalid":
             yield Finding("note", "models", f"{entry.name}@{entry.version}: {entry.reason}")
 
 

@@ -136,7 +136,7 @@ class WholeForecast(_Forecast):
             **dict(self.summary(forecast.final_positions)),
             objects=_objects(forecast, self.manifest),
             times_s=[step / self._rate for step in range(len(self._steps))],
-            half_radii=forecast.half_radii.tolist(),
+            ellipse50_radii=forecast.ellipse50_radii.tolist(),
         )
         return response.model_dump_json()
 
@@ -178,7 +178,7 @@ class StreamedForecast(_Forecast):
             StreamStep(
                 step=index,
                 time_s=index / self._rate,
-                half_radius=forecast.half_radii.item(),
+                ellipse50_radius=forecast.ellipse50_radii.item(),
                 objects=[
                     StreamObject(
                         id=ball.id,

@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from rollcast.manifest import GAUSSIAN_HALF_RADIUS, CovarianceSource, Manifest, OutputName
+from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS, CovarianceSource, Manifest, OutputName
 from rollcast.ood import Familiarity
 from rollcast.rollout import Arrays, Step
 from service.errors import DivergedError
@@ -49,7 +49,7 @@ class Forecast:
     """Pixels."""
     covariances: Float[np.ndarray, "B N T 2 2"]
     """Square pixels."""
-    half_radii: Float[np.ndarray, " T"]
+    ellipse50_radii: Float[np.ndarray, " T"]
     """Standard deviations: of the ellipses that should hold half of the truths."""
     angular_velocities: Float[np.ndarray, "B N T 3"] | None
     """rad/s."""
@@ -70,7 +70,7 @@ class Forecast:
         return Forecast(
             self.positions * length,
             self.covariances * length**2,
-            self.half_radii,
+            self.ellipse50_radii,
             None if turning is None else turning * rate,
             None if final is None else final * length,
         )
@@ -101,7 +101,7 @@ def assemble(
         if covariance.variance_scale is not None:
             scale = np.array(covariance.variance_scale)
             covariances = covariances * scale[_held(steps, len(scale)), None, None]
-    half = np.array(covariance.half_radius or [GAUSSIAN_HALF_RADIUS])
+    half = np.array(covariance.ellipse50_radius or [GAUSSIAN_ELLIPSE50_RADIUS])
     forecast = Forecast(
         positions,
         covariances,

@@ -35,15 +35,15 @@ class Metrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
-        self.held = Gauge(
-            "rollcast_held",
-            "Requests that are computed or wait for it, by what computes them",
-            ["workers"],
+        self.in_flight = Gauge(
+            "rollcast_requests_in_flight",
+            "Requests being computed or queued, by pool",
+            ["pool"],
             registry=self.registry,
             multiprocess_mode="livesum",
         )
-        for workers in ("inference", "simulation"):
-            self.held.labels(workers).set(0)  # a process that was replaced may have left its own
+        for pool in ("inference", "simulation"):
+            self.in_flight.labels(pool).set(0)  # a process that was replaced may have left its own
         self._stages = Histogram(
             "rollcast_stage_seconds",
             "Time of one stage of a forecast",
@@ -58,8 +58,8 @@ class Metrics:
             registry=self.registry,
             buckets=BATCHES,
         )
-        self._refused = Counter(
-            "rollcast_refused", "Refused requests", ["problem"], registry=self.registry
+        self._rejected = Counter(
+            "rollcast_rejected_requests", "Rejected requests", ["reason"], registry=self.registry
         )
         names = ["handler", "method"]
         self._requests = Counter(
@@ -102,13 +102,13 @@ class Metrics:
 
     def refusal(self, problem: str) -> None:
         """Count a refused request by the last part of its problem's type."""
-        self._refused.labels(problem).inc()
+        self._rejected.labels(problem).inc()
 
     def models(self, registry: Registry) -> None:
         """Count the models that there are, and have figures for those that are served."""
         for predictor in registry.served:
             self.batches(predictor)
-        for status in ("ready", "refused", "unloaded"):
+        for status in ("ready", "invalid", "unloaded"):
             found = sum(model.status == status for model in registry.models)
             self._models.labels(status).set(found)
 

@@ -47,8 +47,8 @@ class Connection(HttpToolsProtocol):
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
         self._stopping = stopping
-        self._receive_s = settings.receive_timeout_s
-        self._send_s = settings.send_timeout_s
+        self._receive_s = settings.read_timeout_s
+        self._send_s = settings.write_timeout_s
         self._interval = min(self._receive_s, self._send_s) / LOOKS
         self._look_again: asyncio.TimerHandle | None = None
         self._awaited_since: float | None = None

@@ -67,7 +67,7 @@ class Server(uvicorn.Server):
         self._told_at = time.monotonic()
         # In C, so that neither the interpreter's lock nor a full event loop delays it.
         faulthandler.dump_traceback_later(
-            self._settings.stop_timeout_s + SHUTDOWN_MARGIN_S, exit=True
+            self._settings.graceful_shutdown_timeout_s + SHUTDOWN_MARGIN_S, exit=True
         )
         state: State | None = getattr(self._app.state, "service", None)
         if state is not None:  # it has none before it has begun
@@ -78,9 +78,9 @@ class Server(uvicorn.Server):
         state: State = self._app.state.service
         state.phase = "draining"
         begun = time.monotonic()
-        ends = (self._told_at or begun) + self._settings.stop_timeout_s
+        ends = (self._told_at or begun) + self._settings.graceful_shutdown_timeout_s
         while not self.force_exit and time.monotonic() < ends:
-            if state.idle and time.monotonic() >= begun + self._settings.drain_s:
+            if state.idle and time.monotonic() >= begun + self._settings.shutdown_delay_s:
                 break
             await asyncio.sleep(POLL_S)
         left = max(0.0, ends - time.monotonic())

@@ -192,7 +192,9 @@ class Supervisor(Multiprocess):
 
     def join_all(self) -> None:
         """Wait for the workers, for the stop timeout and a margin; then kill those that remain."""
-        deadline = time.monotonic() + self._settings.stop_timeout_s + 2 * SHUTDOWN_MARGIN_S
+        deadline = (
+            time.monotonic() + self._settings.graceful_shutdown_timeout_s + 2 * SHUTDOWN_MARGIN_S
+        )
         while (left := [one for one in self._workers if one.process.is_alive()]) and (
             time.monotonic() < deadline
         ):

@@ -37,11 +37,11 @@ class Model:
         return f"{self.name}@{self.version}"
 
     @property
-    def status(self) -> Literal["ready", "refused", "unloaded"]:
+    def status(self) -> Literal["ready", "invalid", "unloaded"]:
         """Whether it is served."""
         if self.predictor is not None:
             return "ready"
-        return "unloaded" if self.reason is None else "refused"
+        return "unloaded" if self.reason is None else "invalid"
 
     @property
     def is_default(self) -> bool:

@@ -63,7 +63,9 @@ def wait_until_ready(client: Client) -> None:
 def held(address: str) -> int:
     """Forecasts that run or wait."""
     text = httpx2.get(f"{address}/metrics").text
-    found = re.search(r'^rollcast_held\{workers="inference"\} (\S+)', text, re.MULTILINE)
+    found = re.search(
+        r'^rollcast_requests_in_flight\{workers="inference"\} (\S+)', text, re.MULTILINE
+    )
     assert found
     return int(float(found.group(1)))
 

@@ -88,7 +88,9 @@ def test_sigterm_ends_a_service_whose_worker_stopped_while_it_started():
 
 
 def test_a_second_signal_ends_the_wait_for_answers():
-    with Service(2, ROLLCAST_DRAIN_S="60", ROLLCAST_STOP_TIMEOUT_S="60") as service:
+    with Service(
+        2, ROLLCAST_SHUTDOWN_DELAY_S="60", ROLLCAST_GRACEFUL_SHUTDOWN_TIMEOUT_S="60"
+    ) as service:
         begun = time.monotonic()
         service.popen.terminate()
         time.sleep(1)

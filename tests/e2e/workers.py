@@ -44,7 +44,7 @@ class Service:
         self._log = Path(self._folder.name) / "log"
         variables = {
             "ROLLCAST_PROCESSES": str(processes),
-            "ROLLCAST_STOP_TIMEOUT_S": str(STOP_TIMEOUT_S),
+            "ROLLCAST_GRACEFUL_SHUTDOWN_TIMEOUT_S": str(STOP_TIMEOUT_S),
         }
         with self._log.open("a") as log:
             self.popen, self.address = start_service(log, prefix, **variables | settings)

@@ -197,7 +197,7 @@ STEPS = ("+1h", "-1h", "+1d", "-1d", "+10y", "-10y", "+0")
 async def no_descriptors(report: Report, times: int) -> None:
     """Idle connections take every descriptor that the process may have, simulations one too."""
     report.expected = CLOSED | LOST
-    with service(ROLLCAST_RECEIVE_TIMEOUT_S="2") as (address, process):
+    with service(ROLLCAST_READ_TIMEOUT_S="2") as (address, process):
         load = Load(address, report)
         async with load.running():
             for _ in range(times):
@@ -238,7 +238,7 @@ async def no_memory(report: Report, times: int) -> None:
 
 async def deaf_clients(report: Report, times: int) -> None:
     """Clients ask for long answers and never read them; they are given up, and their memory."""
-    with service(ROLLCAST_SEND_TIMEOUT_S="2") as (address, process):
+    with service(ROLLCAST_WRITE_TIMEOUT_S="2") as (address, process):
         load = Load(address, report)
         async with load.running():
             await asyncio.sleep(3)
@@ -257,7 +257,7 @@ async def deaf_clients(report: Report, times: int) -> None:
 
 async def slow_senders(report: Report, times: int) -> None:
     """Clients send a byte a second; they are given up."""
-    with service(ROLLCAST_RECEIVE_TIMEOUT_S="2") as (address, process):
+    with service(ROLLCAST_READ_TIMEOUT_S="2") as (address, process):
         load = Load(address, report)
         async with load.running():
             await asyncio.sleep(3)

@@ -46,7 +46,7 @@ FORECAST = {
         },
     ],
     "times_s": [0, 0.025],
-    "half_radii": [1.2, 0.9],
+    "ellipse50_radii": [1.2, 0.9],
     "final_positions": None,
     "warnings": ["beware"],
     "timing_ms": {"decode": 1, "encode": 2, "rollout": 3, "total": 6},
@@ -97,7 +97,7 @@ def test_a_forecast_is_arrays(client):
     assert forecast.angular_velocities.shape == (2, 2, 3)
     assert forecast.final_positions is None
     np.testing.assert_array_equal(forecast.times_s, [0, 0.025])
-    np.testing.assert_array_equal(forecast.half_radii, [1.2, 0.9])
+    np.testing.assert_array_equal(forecast.ellipse50_radii, [1.2, 0.9])
     assert (forecast.colors, forecast.warnings) == (("red", "green"), ("beware",))
     assert (forecast.model.name, forecast.frame_size) == ("dot", (48, 48))
     assert forecast.timing_ms.total == 6

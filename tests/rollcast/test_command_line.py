@@ -45,7 +45,7 @@ class Service(httpx2.BaseTransport):
             "frame_rate": rate,
             "objects": [ball],
             "times_s": [step / rate for step in range(horizon)],
-            "half_radii": [1.2] * horizon,
+            "ellipse50_radii": [1.2] * horizon,
             "final_positions": None,
             "warnings": ["beware"],
             "timing_ms": {"decode": 1, "encode": 2, "rollout": 3, "total": 6},

@@ -163,7 +163,7 @@ READY = {
     "trained_horizon": 20,
     "metrics": {"validation_error_px": 1.4142, "rows": []},
 }
-REFUSED = {"name": "broken", "version": 1, "status": "refused", "reason": "a hash differs"}
+REFUSED = {"name": "broken", "version": 1, "status": "invalid", "reason": "a hash differs"}
 
 
 def test_models_are_listed_and_refused_ones_say_why(run):
@@ -173,7 +173,7 @@ def test_models_are_listed_and_refused_ones_say_why(run):
     assert printed == snapshot("""\
 MODEL      VARIANT  BALLS  FRAMES  HORIZON  ERROR_PX  SCENARIOS             STATUS
 posnet@2*  posnet   1      4       20       1.41      hemisphere,ellipsoid  ready
-broken@1                                                                    refused: a hash differs
+broken@1                                                                    invalid: a hash differs
 """)
     code, printed, _ = run("models", "--format", "json", service=service)
     assert [model["reason"] for model in json.loads(printed)] == [None, "a hash differs"]

@@ -220,7 +220,7 @@ class Forecast(
         positions: jaxtyping.Float64[ndarray, 'objects T 2'],
         covariances: jaxtyping.Float64[ndarray, 'objects T 2 2'],
         covariance_source: Literal['predicted', 'empirical'],
-        half_radii: jaxtyping.Float64[ndarray, 'T'],
+        ellipse50_radii: jaxtyping.Float64[ndarray, 'T'],
         angular_velocities: jaxtyping.Float64[ndarray, 'objects T 3'] | None,
         final_positions: jaxtyping.Float64[ndarray, 'objects 2'] | None,
         times_s: jaxtyping.Float64[ndarray, 'T'],
@@ -263,7 +263,7 @@ class Forecast(
 class ForecastStep(
         step: int,
         time_s: float,
-        half_radius: float,
+        ellipse50_radius: float,
         positions: jaxtyping.Float64[ndarray, 'objects 2'],
         covariances: jaxtyping.Float64[ndarray, 'objects 2 2'],
         angular_velocities: jaxtyping.Float64[ndarray, 'objects 3'] | None,

@@ -280,7 +280,7 @@ def fit_covariance(forecasts: Mapping[Key, Forecasts]) -> CovarianceSource:
                 ((round(m[0][0], 4), round(m[0][1], 4)), (round(m[1][0], 4), round(m[1][1], 4)))
                 for m in moments.tolist()
             ),
-            half_radius=_half_radius(distances_sigmas(residuals, moments)),
+            ellipse50_radius=_half_radius(distances_sigmas(residuals, moments)),
         )
     joined = np.concatenate(covariances).reshape(-1, residuals.shape[1], 2, 2)
     distances = distances_sigmas(residuals, joined.astype(float))
@@ -290,7 +290,7 @@ def fit_covariance(forecasts: Mapping[Key, Forecasts]) -> CovarianceSource:
     return CovarianceSource(
         source="predicted",
         variance_scale=tuple(round(value, 4) for value in scale.tolist()),
-        half_radius=_half_radius(distances / np.sqrt(scale)),
+        ellipse50_radius=_half_radius(distances / np.sqrt(scale)),
     )
 
 
@@ -307,7 +307,9 @@ def with_covariance(
         scenario: replace(
             made,
             covariances=_served_covariances(made, covariance),
-            half_radii=None if covariance.half_radius is None else np.array(covariance.half_radius),
+            ellipse50_radii=None
+            if covariance.ellipse50_radius is None
+            else np.array(covariance.ellipse50_radius),
         )
         for scenario, made in forecasts.items()
     }

@@ -28,7 +28,7 @@ class Forecasts:
     angular_velocities: Float[np.ndarray, "sequences objects steps 3"] | None
     true_positions: Float[np.ndarray, "sequences objects steps 2"]
     true_angular_velocities: Float[np.ndarray, "sequences objects steps 3"]
-    half_radii: Float[np.ndarray, " steps"] | None = None
+    ellipse50_radii: Float[np.ndarray, " steps"] | None = None
     """Standard deviations: of the ellipses that should hold half of the truths; None: a
     Gaussian's."""
 
@@ -41,7 +41,7 @@ class Forecasts:
             None if spins is None else spins[:, chosen],
             self.true_positions[:, chosen],
             self.true_angular_velocities[:, chosen],
-            self.half_radii,
+            self.ellipse50_radii,
         )
 
     def errors_px(self) -> Float[np.ndarray, "sequences objects steps"]:
@@ -74,8 +74,8 @@ class Forecasts:
             return None
         distances = distances_sigmas(self.true_positions - self.positions, self.covariances)
         radii: dict[float, float | np.ndarray] = {level: gaussian_radius(level) for level in levels}
-        if self.half_radii is not None and HALF in radii:
-            radii[HALF] = self.half_radii
+        if self.ellipse50_radii is not None and HALF in radii:
+            radii[HALF] = self.ellipse50_radii
         return {level: (distances <= radius).mean(axis=(0, 1)) for level, radius in radii.items()}
 
 

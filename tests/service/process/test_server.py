@@ -34,7 +34,7 @@ def load(models_dir, name=None):
 async def run():
     global loop
     loop = asyncio.get_running_loop()
-    settings = Settings(models_dir=Path(sys.argv[1]), stop_timeout_s=1)
+    settings = Settings(models_dir=Path(sys.argv[1]), graceful_shutdown_timeout_s=1)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         await make_server(settings, load).serve([listener])
 
@@ -66,7 +66,7 @@ def test_a_process_whose_app_cannot_start_ends(tmp_path):
     keys = tmp_path / "keys.json"
     KeyFile().write(keys)
     program = PROGRAM.replace(
-        "stop_timeout_s=1)", "keys_file=sys.argv[3])\n    settings.keys_file.unlink()"
+        "graceful_shutdown_timeout_s=1)", "keys_file=sys.argv[3])\n    settings.keys_file.unlink()"
     )
     done = subprocess.run(
         [sys.executable, "-c", program, str(tmp_path), "nothing", str(keys)],
