@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from rollcast.manifest import Manifest, MetricRow
 from rollcast.markdown import table
 from rollcast.scene import SCENARIOS, Scenario
-from training.evaluation.paper import CONSTANT_POSITION, LINEAR_EXTRAPOLATION
+from training.evaluation.paper import CONSTANT_POSITION, LINEAR_EXTRAPOLATION, published
 from training.reporting.results import Measurement, Results
 
 BEGIN = "<!-- results: python -m training report -->"
@@ -27,32 +27,26 @@ def with_results(text: str, manifests: Sequence[Manifest]) -> str:
     return f"{before}{BEGIN}\n\n{overview(manifests)}\n\n{END}{after}"
 
 
+README_MODELS = ("fieldnet", "fieldnet-between", "posnet")
+README_HORIZON = 20
+
+
 def overview(manifests: Sequence[Manifest]) -> str:
-    """Errors on the test split at the horizons that all models report, baselines last, as Markdown.
-
-    Models of several balls have a table of their own each.
-    """
-    numbers = sorted({manifest.objects for manifest in manifests})
-    groups = [[one for one in manifests if one.objects == number] for number in numbers]
-    return "\n\n".join(_overview(group) for group in groups)
-
-
-def _overview(manifests: Sequence[Manifest]) -> str:
-    """Table of models that follow the same number of balls."""
-    reported = [{row.horizon for row in manifest.metrics} for manifest in manifests]
-    horizons = sorted(set[int].intersection(*reported))
-    names = [*(manifest.name for manifest in manifests), CONSTANT_POSITION, LINEAR_EXTRAPOLATION]
+    """Errors of one ball at T = 20 on the test split, one row per scenario, as Markdown."""
+    models = [one for name in README_MODELS for one in manifests if one.name == name]
     lines: list[Sequence[str]] = []
     for scenario in SCENARIOS:
-        for horizon in horizons:
-            rows = [_row(manifest, scenario, horizon) for manifest in manifests]
-            first = next((row for row in rows if row is not None), None)
-            if first is not None:
-                errors = [None if row is None else row.position_error_px for row in rows]
-                errors += [first.stays_put_px, first.line_px]
-                label = f"{scenario}, T={horizon} ({first.sequences})"
-                lines.append((label, *(_cell(error, 1) for error in errors)))
-    return table((f"{_balls(manifests[0].objects)}, test scenes", *names), lines)
+        rows = [_row(manifest, scenario, README_HORIZON) for manifest in models]
+        first = next((row for row in rows if row is not None), None)
+        if first is None:
+            continue
+        paper = published(scenario, 1, "posnet", f"T={README_HORIZON}")
+        errors = [None if row is None else row.position_error_px for row in rows]
+        errors += [first.stays_put_px, first.line_px, paper and paper.position_error_px]
+        lines.append((f"{scenario} ({first.sequences})", *(_cell(error, 1) for error in errors)))
+    names = [manifest.name for manifest in models]
+    heads = [*names, CONSTANT_POSITION, LINEAR_EXTRAPOLATION, "PosNet in the paper"]
+    return table((f"error in px at T = {README_HORIZON}", *heads), lines)
 
 
 def page(results: Results, scenes: int) -> str:
