@@ -201,7 +201,7 @@ def test_what_is_no_regular_file_is_refused_at_once(write, tmp_path, name, kind)
             path.mkdir()
     write(name="good")
     began = time.monotonic()
-    refused, served = sorted(load(tmp_path).models, key=lambda model: model.status, reverse=True)
+    refused, served = sorted(load(tmp_path).models, key=lambda model: model.status)
     assert time.monotonic() - began < 10
     assert served.label == "good@1"
     assert name in refused.reason or "directory" in refused.reason

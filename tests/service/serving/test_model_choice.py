@@ -51,7 +51,7 @@ def test_a_refused_model_says_why(client):
     status, problem = refusal(client, model="broken@1")
     assert status == 503
     assert problem["type"] == "/problems/model-unavailable"
-    assert problem["detail"] == "broken@1 is refused: manifest.json is missing"
+    assert problem["detail"] == "broken@1 is invalid: manifest.json is missing"
 
 
 @pytest.mark.parametrize(

@@ -176,7 +176,7 @@ def test_neither_ready_nor_answering_while_loading(start):
         ("dot/versions/x", 404, "expected a version that is a whole number"),
         (f"dot/versions/{'1' * 5000}", 404, "expected a version that is a whole number"),
         ("%ED%A0%80", 404, "expected one of "),
-        ("broken/versions/1", 503, "broken@1 is refused: manifest.json is missing"),
+        ("broken/versions/1", 503, "broken@1 is invalid: manifest.json is missing"),
     ],
 )
 def test_models_that_are_not_there(client, path, model, status, words):
