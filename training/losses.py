@@ -50,7 +50,7 @@ class DistanceLoss:
     def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
         """Loss of a forecast in pixels."""
         weights = step_weights(positions_BNT2.shape[2], self._halving)
-        error = smooth_distance(forecast.positions - positions_BNT2, self._rounding)
+        error = smooth_distance(_unlike(forecast.positions, positions_BNT2), self._rounding)
         return (weights.to(error.device) * error).mean()
 
 
@@ -124,8 +124,9 @@ class SpinLoss:
         if self._squared:
             error = (forecast.angular_velocities - truth).square().sum(-1)
             return self._weight * (weights * error).mean()
-        scale = 1 + truth.norm(dim=-1) / ANGULAR_VELOCITY_UNIT
-        error = smooth_distance(forecast.angular_velocities - truth, self._rounding) / scale
+        scale = 1 + truth.nan_to_num().norm(dim=-1) / ANGULAR_VELOCITY_UNIT
+        off = _unlike(forecast.angular_velocities, truth)
+        error = smooth_distance(off, self._rounding) / scale
         return self._weight * (weights * error).mean()
 
 
@@ -154,7 +155,9 @@ class ReadingLoss:
     is NaN in the truth is not known, and costs nothing: of footage there are only places.
     """
 
-    looks = (0.3, 0.5, 1.5)
+    looks = (0.3, 0.5, 1.5, 1.5)
+    """The first look's, the closer looks' and, where there is one, the zoomed look's."""
+    radius = 2.0
     height = 0.5
     velocity = 3.0
     ground = 15.0
@@ -162,15 +165,35 @@ class ReadingLoss:
     measures = 2.0
     rounding = 0.1
 
-    def __call__(self, reading: Reading, scenery: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-        """Loss of a reading against the fields of :class:`training.dataset.Scenery`."""
+    def __call__(
+        self,
+        reading: Reading,
+        scenery: tuple[Tensor, Tensor, Tensor],
+        shake_BK2: Tensor | None = None,
+        radii_BN: Tensor | None = None,
+    ) -> Tensor:
+        """Loss of a reading against the fields of :class:`training.dataset.Scenery`.
+
+        Parameters
+        ----------
+        shake_BK2
+            Shift of the picture in the seen frames, halves of the frame: it moves what is seen, not
+            the ball.
+        radii_BN
+            Of the balls in the picture, halves of the frame.
+        """
         centres, ground, measures = scenery
         seen, now = centres[:, :, :OBSERVED_FRAMES, :2], centres[:, :, OBSERVED_FRAMES - 1]
+        if shake_BK2 is not None:
+            seen = seen + shake_BK2[:, None]
         before = centres[:, :, OBSERVED_FRAMES - 2]
         off = _unlike(reading.centres, now)
         loss = self._pixels(off[..., :2]) + self.height * PIXEL_UNIT * off[..., 2].abs().mean()
-        for weight, positions in zip(self.looks, reading.seen_positions, strict=True):
+        for weight, positions in zip(self.looks, reading.seen_positions, strict=False):
             loss = loss + weight * self._pixels(positions - seen)
+        if reading.radii is not None and radii_BN is not None:
+            unlike = _unlike(reading.radii.log(), radii_BN.log())
+            loss = loss + self.radius * unlike.abs().mean()
         loss = loss + self.velocity * self._pixels(_unlike(reading.velocities, now - before))
         unlike = _unlike(reading.ground, ground).abs()
         loss = loss + self.ground * unlike.sum(dim=1).mean()
@@ -180,7 +203,7 @@ class ReadingLoss:
     def _along_the_way(self, read: Tensor, ground: Tensor, centres: Tensor) -> Tensor:
         """Mean error of the ground where the balls will be: more than elsewhere depends on it."""
         known = (~ground.isnan()).float()
-        points = centres[..., :2]
+        points = centres[..., :2].nan_to_num()
         unlike = sampled(read, points) - sampled(ground.nan_to_num(), points)
         return (unlike.abs() * (sampled(known, points) > 0.999)).sum(dim=-1).mean()
 

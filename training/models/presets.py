@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from training.models.compact import compact_family
-from training.models.fieldnet import field_family
+from training.models.fieldnet import field_family, zoomed_family
 from training.models.paper import paper_family
 from training.models.predictor import Family
 from training.models.sighted import sighted_family
@@ -29,5 +29,6 @@ PRESETS: Mapping[str, Preset] = {
     "compact": compact_family,
     "paper": paper_family,
     "field": field_family,
+    "zoomed": zoomed_family,
     "sighted": sighted_family,
 }
