@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch.utils.data import DataLoader
 from torch.utils.tensorboard import SummaryWriter
@@ -17,6 +18,7 @@ from training import crew
 from training.clips import Clips, ClipStream
 from training.dataset import Batch, TrainingStream, Window, compared_horizon, fixed_windows
 from training.initial import Initial, load_fitting
+from training.looks import other_looks
 from training.metrics import forecast
 from training.models.fieldnet import FieldNet
 from training.models.predictor import EyedFamily, Family
@@ -230,6 +232,7 @@ class Trainer:
                 seen=seen,
                 scenery=recipe.explicit is not None,
                 share=share or crew.share(),
+                mixture=recipe.looks,
             )
         loader = DataLoader(
             stream,
@@ -294,8 +297,10 @@ class Trainer:
         for source, source_windows in windows.items():
             for name, forecasts in forecast(averaged, source_windows, horizon, self.device).items():
                 by_step = forecasts.errors_px().mean(axis=(0, 1))
-                errors.append(float(by_step[compared - 1]))
-                for step in sorted({1, horizon // 2, horizon}):
+                # Of planar scenes only the seen places are known.
+                known = by_step[np.isfinite(by_step)]
+                errors.append(float(known[min(compared, len(known)) - 1]))
+                for step in sorted({1, horizon // 2, horizon} & set(range(1, len(known) + 1))):
                     tag = f"{name}/{source}/T={step}"
                     events.add_scalar(tag, by_step[step - 1], self.sequences)
         error = sum(errors) / len(errors)
@@ -361,16 +366,18 @@ def _give_way(worker: int) -> None:  # noqa: ARG001 - the loader passes its numb
 def validation_windows(recipe: Recipe, simulators: int) -> dict[str, list[Window]]:
     """Windows of the validation split, for every scenario at the usual radius."""
     sources = [Source(scenario, recipe.task.objects) for scenario in recipe.scenarios]
-    return {
-        source.name: fixed_windows(
-            load_recordings(
-                simulate_split(source, "validation", recipe.validation_scenes, simulators)
-            ),
-            recipe.trained_horizon,
-            recipe.task.final_step,
+    recordings = {
+        source.name: load_recordings(
+            simulate_split(source, "validation", recipe.validation_scenes, simulators)
         )
         for source in sources
     }
+    horizon = recipe.trained_horizon
+    windows = {
+        name: fixed_windows(of_source, horizon, recipe.task.final_step)
+        for name, of_source in recordings.items()
+    }
+    return windows if recipe.looks is None else windows | other_looks(recordings, horizon)
 
 
 def warmed_average(decay: float) -> Callable[..., None]:

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from rollcast.scene import Scenario
+from training.looks import Looks
 from training.losses import Loss, MotionLoss, ReadingLoss, SpinLoss
 from training.models.predictor import Family
 from training.models.presets import PRESETS
@@ -134,6 +135,9 @@ class Recipe:
 
     explicit: Explicit | None = None
     """For networks with an explicit state."""
+
+    looks: Looks | None = None
+    """What training windows look like; None for the paper's look alone."""
 
     def build(self) -> Family:
         """Make the untrained networks."""
