@@ -23,6 +23,11 @@ MAX_STARTS = 1000
 """Draws of one ball's start before the scene is taken as it is, for the whole to be judged."""
 
 
+WEDGED = 1.1
+"""Ball radius, relative to the radius of curvature at a bowl's bottom, from which no scene was found
+in 200 draws. That curvature's radius is the square of the axis ratio."""
+
+
 class Start(NamedTuple):
     """Where a ball begins, and how fast."""
 
@@ -73,6 +78,7 @@ def draw_scene(
         draw_start = _heightfield_starts(fields, generator)
     else:
         fields |= _draw_bowl(scenario, generator) | chosen
+        _require_room(fields)
         draw_start = _bowl_starts(fields, objects, generator)
     starts: list[Start] = []
     for _ in range(objects):
@@ -134,6 +140,19 @@ def _scene(fields: Mapping[str, Any]) -> Scene:
         # A rule over several fields begins with the name of the one that breaks it.
         name = str(first["loc"][0]) if first["loc"] else message.split()[0]
         raise SceneParametersError(name, fields.get(name), message) from error
+
+
+def _require_room(fields: Mapping[str, Any]) -> None:
+    """Refuse bowls that no ball of the radius rolls in: simulating them finds that out slowly."""
+    ratio, radius = fields["axis_ratio"], fields["radius_m"]
+    if radius > WEDGED * ratio**2:
+        least = math.sqrt(radius / WEDGED)
+        raise SceneParametersError(
+            "axis_ratio",
+            ratio,
+            f"at least {least:.3f} for a ball of radius {radius} m: in a narrower bowl it wedges "
+            "between the sides before it reaches the bottom",
+        )
 
 
 def _draw_bowl(scenario: Scenario, generator: np.random.Generator) -> dict[str, Any]:
