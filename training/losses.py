@@ -1,7 +1,7 @@
 """Losses over a rollout; the paper's and what the compact preset uses instead.
 
 The loss of a network is that of its positions plus that of its angular velocities (paper, section
-5.1).
+5.1). What is NaN in the truth is not known, and costs nothing.
 """
 
 import math
@@ -79,13 +79,15 @@ class LikelihoodLoss:
         """Loss of a forecast, which has covariances, in nats up to a constant."""
         assert forecast.covariances is not None
         weights = step_weights(positions_BNT2.shape[2], self._halving)
-        squared = mahalanobis(forecast.positions, forecast.covariances, positions_BNT2)
+        known = ~positions_BNT2.isnan().any(dim=-1)
+        truth = torch.where(positions_BNT2.isnan(), forecast.positions.detach(), positions_BNT2)
+        squared = mahalanobis(forecast.positions, forecast.covariances, truth)
         limit = self._outlier
         linear = 2 * limit * squared.clamp(min=limit**2).sqrt() - limit**2
         bounded = torch.where(squared < limit**2, squared, linear)
         nll = 0.5 * (bounded + determinant(forecast.covariances).log())
         penalty = self._regulariser * determinant(forecast.covariances)
-        return (weights.to(nll.device) * (nll + penalty)).mean()
+        return (weights.to(nll.device) * known * (nll + penalty)).mean()
 
 
 class SpinLoss:
