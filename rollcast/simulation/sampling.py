@@ -24,8 +24,8 @@ MAX_STARTS = 1000
 
 
 WEDGED = 1.1
-"""Ball radius, relative to the radius of curvature at a bowl's bottom, from which no scene was found
-in 200 draws. That curvature's radius is the square of the axis ratio."""
+"""Ball radius from which no scene was found in 200 draws, relative to the radius of curvature at a
+bowl's bottom: the square of the axis ratio."""
 
 
 class Start(NamedTuple):
