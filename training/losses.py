@@ -159,6 +159,9 @@ class ReadingLoss:
 
     looks = (0.3, 0.5, 1.5, 1.5)
     """The first look's, the closer looks' and, where there is one, the zoomed look's."""
+    displacement = 1.5
+    """Of what lies between two seen frames, by the last look: errors that all frames share do not
+    matter to it."""
     radius = 2.0
     height = 0.5
     velocity = 3.0
@@ -193,6 +196,8 @@ class ReadingLoss:
         loss = self._pixels(off[..., :2]) + self.height * PIXEL_UNIT * off[..., 2].abs().mean()
         for weight, positions in zip(self.looks, reading.seen_positions, strict=False):
             loss = loss + weight * self._pixels(positions - seen)
+        last = reading.seen_positions[-1]
+        loss = loss + self.displacement * self._pixels(last.diff(dim=2) - seen.diff(dim=2))
         if reading.radii is not None and radii_BN is not None:
             unlike = _unlike(reading.radii.log(), radii_BN.log())
             loss = loss + self.radius * unlike.abs().mean()

@@ -254,11 +254,11 @@ class FieldNet(EyedNetwork):
     not observed: footage does not tell them.
     """
 
-    def __init__(self, task: Task, eye: Eye) -> None:
+    def __init__(self, task: Task, zoomed: ZoomedLook | None = None) -> None:
         super().__init__()
         self.final_step = task.final_step
         self.tells_spin = task.angular_velocity
-        self.eye = eye
+        self.eye = Eye(task.objects, zoomed)
         self.rolling = Rolling(Encounters() if task.meetings else None)
         self.bend = None if task.final_step is None else Bend()
         self.first_doubt = nn.Linear(FEATURES, 3)
@@ -407,17 +407,18 @@ def field_family(variants: Mapping[str, str], task: Task) -> Family:
     ValueError
         For another variant, or without angular velocities.
     """
-    if set(variants.values()) != {"fieldnet"}:
-        raise ValueError(
-            f"the field preset makes fieldnet alone, not {', '.join(variants.values())}"
-        )
-    return FieldFamily({name: FieldNet(task, Eye(task.objects)) for name in variants})
+    _require_fieldnet(variants)
+    return FieldFamily({name: FieldNet(task) for name in variants})
 
 
 def zoomed_family(variants: Mapping[str, str], task: Task) -> Family:
-    """Make networks of the field preset whose eye has a zoomed look."""
-    family = field_family(variants, task)
-    for network in family.networks().values():
-        assert isinstance(network, FieldNet)
-        network.eye.zoomed = ZoomedLook()
-    return family
+    """Make networks of the zoomed preset: the eye of the field preset looks once more."""
+    _require_fieldnet(variants)
+    return FieldFamily({name: FieldNet(task, ZoomedLook()) for name in variants})
+
+
+def _require_fieldnet(variants: Mapping[str, str]) -> None:
+    if set(variants.values()) != {"fieldnet"}:
+        raise ValueError(
+            f"the field presets make fieldnet alone, not {', '.join(variants.values())}"
+        )
