@@ -10,7 +10,7 @@ from types import ModuleType
 
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from rollcast.scene import SCENARIOS
-from training import calibration, campaign, clip_commands
+from training import calibration, campaign, clip_commands, real_clips
 from training.artefact import initial_networks, load_exported
 from training.clips import Clips
 from training.dissect import dissected, dissection_table
@@ -132,6 +132,14 @@ def _parser() -> argparse.ArgumentParser:
     dissect.add_argument("model", type=Path, help="models/NAME/VERSION")
     dissect.add_argument("--scenes", type=int, default=100, help="scenes per scenario")
     dissect.set_defaults(run=_dissect)
+
+    real = commands.add_parser(
+        "real-clips", help="measure how well a model finds balls in real clips with tracks"
+    )
+    real.add_argument("model", type=Path, help="models/NAME/VERSION")
+    real.add_argument("clips", type=Path, help="folder of videos")
+    real.add_argument("tracks", type=Path, help="folder of setup.json and a table a clip")
+    real.set_defaults(run=_real_clips)
 
     exported = commands.add_parser(
         "export", parents=[processes], help="export a recipe's best networks and prove the exports"
@@ -317,6 +325,10 @@ def _dissect(arguments: argparse.Namespace) -> None:
         for scenario in manifest.simulated
     }
     print(dissection_table(errors, manifest.objects))
+
+
+def _real_clips(arguments: argparse.Namespace) -> None:
+    _show_lines(real_clips.table(arguments.model, arguments.clips, arguments.tracks))
 
 
 def _export(arguments: argparse.Namespace) -> None:
