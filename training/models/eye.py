@@ -261,11 +261,11 @@ class Eye(nn.Module):
         super().__init__()
         self.first = FirstLook(objects)
         self.closer = CloserLook(FEATURES)
-        self.zoomed = zoomed
         seen = FEATURES + 2 * (OBSERVED_FRAMES - 1) + 2 + 3 * len(SAMPLE_AHEAD) + 2 + 4
         self.state = nn.Sequential(
             nn.Linear(seen, 192), nn.SiLU(), nn.Linear(192, 192), nn.SiLU(), nn.Linear(192, 9)
         )
+        self.zoomed = zoomed
 
     def forward(self, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None) -> Reading:
         """Look at the observed frames uint8 [B, 4, 128, 128, 3].
