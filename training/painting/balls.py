@@ -138,7 +138,7 @@ def paint_ball(
     """
     height, width = image.shape[:2]
     way = np.zeros(2) if smear is None else np.asarray(smear)
-    steps = 1 if smear is None else int(min(2 + np.hypot(*way) / 1.5, 6))
+    steps = 1 if smear is None else int(min(2 + math.hypot(*way) / 1.5, 6))
     reach_x, reach_y = radius + 1.5 + np.abs(way) / 2
     left, right = _range(centre[0], reach_x, width)
     top, bottom = _range(centre[1], reach_y, height)
@@ -156,7 +156,7 @@ def paint_ball(
         coverage = np.clip((1 - distance) * radius + 0.5, 0, 1)[..., None]
         shrink = np.minimum(1, 1 / np.maximum(distance, 1e-6))
         u, v = u * shrink, v * shrink
-        normals = np.stack([u, v, np.sqrt(np.maximum(1 - u * u - v * v, 0))], axis=-1)
+        normals = np.stack([u, v, np.sqrt((1 - u * u - v * v).clip(0))], axis=-1)
         normals = normals.astype(np.float32)
         painted = painter.lit(normals, _body_normals(painter, normals, turn), lamp, radius)
         if painter.look.pattern == "glass":
