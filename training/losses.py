@@ -12,7 +12,7 @@ from torch import Tensor
 
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.models.blocks import PIXEL_UNIT
-from training.models.eye import sampled
+from training.models.eye import PATCH_HALF_WIDTH, ZOOM_MARGIN, sampled
 from training.models.predictor import ANGULAR_VELOCITY_UNIT, Observation, Reading
 
 
@@ -155,6 +155,12 @@ class ReadingLoss:
 
     Closer looks weigh more than the first, velocities most: their errors grow with every step. What
     is NaN in the truth is not known, and costs nothing: of footage there are only places.
+
+    Parameters
+    ----------
+    within_reach
+        Whether a closer look is judged only where the look before it left the ball in its patch:
+        what it says of patches without a ball is noise.
     """
 
     looks = (0.3, 0.5, 1.5, 1.5)
@@ -169,6 +175,9 @@ class ReadingLoss:
     way = 30.0
     measures = 2.0
     rounding = 0.1
+
+    def __init__(self, *, within_reach: bool = False) -> None:
+        self._within_reach = within_reach
 
     def __call__(
         self,
@@ -192,16 +201,21 @@ class ReadingLoss:
         if shake_BK2 is not None:
             seen = seen + shake_BK2[:, None]
         before = centres[:, :, OBSERVED_FRAMES - 2]
+        judged = self._judged(reading, seen)
+        found = judged[-1].amin(dim=2)
         off = _unlike(reading.centres, now)
-        loss = self._pixels(off[..., :2]) + self.height * PIXEL_UNIT * off[..., 2].abs().mean()
-        for weight, positions in zip(self.looks, reading.seen_positions, strict=False):
-            loss = loss + weight * self._pixels(positions - seen)
-        last = reading.seen_positions[-1]
-        loss = loss + self.displacement * self._pixels(last.diff(dim=2) - seen.diff(dim=2))
+        loss = self._pixels(off[..., :2], found)
+        loss = loss + self.height * PIXEL_UNIT * (found * off[..., 2].abs()).mean()
+        looks = zip(self.looks, reading.seen_positions, judged, strict=False)
+        for weight, positions, share in looks:
+            loss = loss + weight * self._pixels(positions - seen, share)
+        moved = reading.seen_positions[-1].diff(dim=2) - seen.diff(dim=2)
+        loss = loss + self.displacement * self._pixels(moved, found[..., None])
         if reading.radii is not None and radii_BN is not None:
             unlike = _unlike(reading.radii.log(), radii_BN.log())
-            loss = loss + self.radius * unlike.abs().mean()
-        loss = loss + self.velocity * self._pixels(_unlike(reading.velocities, now - before))
+            loss = loss + self.radius * (found * unlike.abs()).mean()
+        off = _unlike(reading.velocities, now - before)
+        loss = loss + self.velocity * self._pixels(off, found)
         unlike = _unlike(reading.ground, ground).abs()
         loss = loss + self.ground * unlike.sum(dim=1).mean()
         loss = loss + self.way * self._along_the_way(reading.ground, ground, centres)
@@ -214,8 +228,23 @@ class ReadingLoss:
         unlike = sampled(read, points) - sampled(ground.nan_to_num(), points)
         return (unlike.abs() * (sampled(known, points) > 0.999)).sum(dim=-1).mean()
 
-    def _pixels(self, difference: Tensor) -> Tensor:
-        return smooth_distance(PIXEL_UNIT * difference, self.rounding).mean()
+    def _judged(self, reading: Reading, seen: Tensor) -> list[Tensor]:
+        """Return, for every look, where it is judged: 1 or 0 [B, N, K]."""
+        looks = [positions.detach() for positions in reading.seen_positions]
+        everywhere = torch.ones_like(looks[0][..., 0])
+        if not self._within_reach:
+            return [everywhere] * len(looks)
+        off = [(positions - seen).abs().amax(dim=-1) for positions in looks]
+        judged = [everywhere, *((before < PATCH_HALF_WIDTH).float() for before in off[:2])]
+        if len(looks) > len(judged):
+            assert reading.radii is not None
+            reach = reading.radii.detach()[..., None] + ZOOM_MARGIN
+            judged.append(judged[-1] * (off[2] < reach))
+        return judged
+
+    def _pixels(self, difference: Tensor, share: Tensor | None = None) -> Tensor:
+        distance = smooth_distance(PIXEL_UNIT * difference, self.rounding)
+        return (distance if share is None else share * distance).mean()
 
 
 class MotionLoss:

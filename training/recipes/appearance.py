@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from training.looks import Looks
+from training.losses import ReadingLoss
 from training.recipes.field import field_one_ball
 from training.recipes.recipe import DataShare, Milestone, Recipe
 from training.simulate import Source, Variety
@@ -35,7 +36,13 @@ def field_one_ball_appearance() -> Recipe:
         data=APPEARANCE_DATA,
         sequences=192_000,
         curriculum=(Milestone(0, 1), Milestone(0.98, 1), Milestone(1, 20)),
-        explicit=replace(recipe.explicit, motion=None, practice=0, curriculum=(Milestone(0, 1),)),
+        explicit=replace(
+            recipe.explicit,
+            reading=ReadingLoss(within_reach=True),
+            motion=None,
+            practice=0,
+            curriculum=(Milestone(0, 1),),
+        ),
         taught=("rolling.", "first_doubt."),
         learning_rate=8e-4,
         looks=Looks(),
