@@ -44,6 +44,7 @@ def field_one_ball_appearance() -> Recipe:
             curriculum=(Milestone(0, 1),),
         ),
         taught=("rolling.", "first_doubt."),
+        earlier_horizon=40,
         learning_rate=8e-4,
         looks=Looks(),
         seed=7,

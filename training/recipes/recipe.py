@@ -136,6 +136,9 @@ class Recipe:
     explicit: Explicit | None = None
     """For networks with an explicit state."""
 
+    earlier_horizon: int = 0
+    """Steps of the longest rollouts that trained what is ``taught`` already."""
+
     looks: Looks | None = None
     """What training windows look like; None for the paper's look alone."""
 
@@ -192,7 +195,7 @@ def longest_rollout(recipe: Recipe, spent: float) -> int:
     From frames or, where there is practice, from true states. This, not what the recipe is on its
     way to, is the trained horizon of weights that are kept before the end.
     """
-    horizon = horizon_at(recipe.curriculum, spent)
+    horizon = max(horizon_at(recipe.curriculum, spent), recipe.earlier_horizon)
     if recipe.explicit is None:
         return horizon
     return max(horizon, horizon_at(recipe.explicit.curriculum, spent))
