@@ -1,14 +1,18 @@
 # make serve   serve the committed models on http://127.0.0.1:8000 (PORT=9000 make serve)
 # make test    format, lint, types, architecture and every test
 #
-# Both need Python 3.11 or newer (PYTHON=/path/to/python3.11) and make the environments they run in.
+# Both require Python 3.11 to 3.14 (PYTHON=/path/to/python3.11) and create their environments with
+# tools/environment.sh, which installs uv with pip and the packages of uv.lock with uv. The exception
+# is torch: pip installs it, because pip's own configuration or TORCH_INSTALL_ARGS leads to the CPU
+# build, and uv would install the CUDA build of the lock (3 GB):
+#
+#   make test TORCH_INSTALL_ARGS='--index-url ADDRESS_OF_THE_CPU_BUILDS'
 
 PORT ?= 8000
-UV_VERSION := 0.13.9
 
 # Tests in these folders run where torch cannot be imported; all others run in .venv/test.
 TORCH_FREE_TESTS := $(wildcard tests/service tests/contract)
-# Other people's clients have an environment of their own, and so has every framework of make bench.
+# Clients and frameworks of other projects have an environment of their own.
 PROTOCOL_TESTS := tests/protocol
 # Those of the images take long, need root and tools of Debian's: make image-test.
 IMAGE_TESTS := tests/image
@@ -20,7 +24,11 @@ BROWSER_TESTS := tests/browser
 FUZZ_SHARE ?= 1
 # Six replicas start on fewer cores: Ray would give its proxy up after 5 s.
 ON_RAY := RAY_SERVE_PROXY_READY_CHECK_TIMEOUT_S=60
-PEERS := peer-fastapi peer-litserve peer-bentoml peer-ray
+# PyBullet in the environment of make serve. auto: where it has a wheel; yes: compiled if necessary.
+SIMULATION ?= auto
+
+# As in pyproject.toml; `make lock` writes its hashes into tools/uv.txt.
+UV_VERSION := 0.13.9
 
 export PYTHON
 export TORCH_INSTALL_ARGS
@@ -61,139 +69,130 @@ help:
 	@echo 'make licences the licences of that, into docs/licences.md'
 	@echo 'make format   format the code'
 	@echo 'make lint     the checks of make test without its tests'
-	@echo 'make lock     compile requirements/*.txt anew from pyproject.toml (UPGRADE=1: newest versions)'
+	@echo 'make lock     bring uv.lock up to pyproject.toml (UPGRADE=1: newest versions)'
 	@echo 'make clean    remove environments and caches'
 
 serve:
-	@tools/environment.sh service
+	@SIMULATION=$(SIMULATION) tools/environment.sh service
 	@exec .venv/service/bin/python -m service --host 127.0.0.1 --port $(PORT)
 
 test: environments lint
 	$(call step,tests,$(SIDE_BY_SIDE) tests $(TORCH_FREE_TESTS:%=--ignore=%) $(PROTOCOL_TESTS:%=--ignore=%) $(IMAGE_TESTS:%=--ignore=%) $(CLUSTER_TESTS:%=--ignore=%) $(BROWSER_TESTS:%=--ignore=%) $(PYTEST_ARGS))
 	$(call step,no torch in the service environment,! .venv/service/bin/python -c 'import torch' 2>/dev/null)
 	$(call step,tests without torch,.venv/service-test/bin/python -m pytest $(or $(TORCH_FREE_TESTS),tests/service) $(PYTEST_ARGS))
-	$(call step,clients of the protocol,.venv/protocol/bin/python -m pytest $(PROTOCOL_TESTS) $(PYTEST_ARGS))
+	$(call step,clients of the protocol,.venv/peers/bin/python -m pytest $(PROTOCOL_TESTS) $(PYTEST_ARGS))
 	@echo 'rollcast: every check and test passed'
 
 docs:
 	@tools/environment.sh service
-	@tools/environment.sh docs
-	$(call step,site,.venv/docs/bin/python -m sphinx --quiet --fail-on-warning --keep-going -d build/doctrees docs build/docs)
-	$(call step,links,.venv/docs/bin/lychee --offline --include-fragments=full --no-progress 'build/docs/**/*.html')
-	$(call step,notebook,.venv/docs/bin/python -m docs.notebook --check)
+	@tools/environment.sh tools
+	$(call step,site,.venv/tools/bin/python -m sphinx --quiet --fail-on-warning --keep-going -d build/doctrees docs build/docs)
+	$(call step,links,.venv/tools/bin/lychee --offline --include-fragments=full --no-progress 'build/docs/**/*.html')
+	$(call step,notebook,.venv/tools/bin/python -m docs.notebook --check)
 	@echo 'rollcast: build/docs/index.html'
 
 bench:
 	@tools/environment.sh service
-	@for name in bench $(PEERS); do tools/environment.sh $$name || exit 1; done
-	@.venv/bench/bin/python -m tests.bench.run $(BENCH_ARGS)
+	@tools/environment.sh tools
+	@tools/environment.sh peers
+	@.venv/tools/bin/python -m tests.bench.run $(BENCH_ARGS)
 
 browser-test:
 	@tools/environment.sh service
-	@tools/environment.sh browser
-	$(call step,page,.venv/browser/bin/python -m pytest $(BROWSER_TESTS) $(PYTEST_ARGS))
+	@tools/environment.sh tools
+	$(call step,page,.venv/tools/bin/python -m pytest $(BROWSER_TESTS) $(PYTEST_ARGS))
 
 image-test:
 	@tools/environment.sh service
-	@tools/environment.sh image
-	$(call step,images,.venv/image/bin/python -m pytest $(IMAGE_TESTS) $(PYTEST_ARGS))
+	@tools/environment.sh tools
+	$(call step,images,.venv/tools/bin/python -m pytest $(IMAGE_TESTS) $(PYTEST_ARGS))
 
 cluster-test:
 	@tools/environment.sh service
-	@tools/environment.sh cluster --torch
-	$(call step,cluster,$(ON_RAY) .venv/cluster/bin/python -m pytest -W ignore $(CLUSTER_TESTS) $(PYTEST_ARGS))
+	@tools/environment.sh test
+	$(call step,cluster,$(ON_RAY) $(BIN)/python -m pytest -W ignore $(CLUSTER_TESTS) $(PYTEST_ARGS))
 
 scaling:
 	@tools/environment.sh service
-	@tools/environment.sh cluster --torch
-	@$(ON_RAY) .venv/cluster/bin/python -W ignore -m tests.cluster.scaling $(SCALING_ARGS)
+	@tools/environment.sh test
+	@$(ON_RAY) $(BIN)/python -W ignore -m tests.cluster.scaling $(SCALING_ARGS)
 
 fuzz:
-	@tools/environment.sh fuzz
-	@.venv/fuzz/bin/python -m tests.fuzz.run --share $(FUZZ_SHARE)
+	@tools/environment.sh tools
+	@.venv/tools/bin/python -m tests.fuzz.run --share $(FUZZ_SHARE)
 
 fuzz-api:
 	@tools/environment.sh service
-	@tools/environment.sh test --torch
+	@tools/environment.sh test
 	@$(BIN)/python -m tests.fuzz.api
 
 mutate:
-	@tools/environment.sh mutation
-	@.venv/mutation/bin/python -m tests.mutation.run $(MUTATE_ARGS)
+	@tools/environment.sh tools
+	@.venv/tools/bin/python -m tests.mutation.run $(MUTATE_ARGS)
 
 faults:
 	@tools/environment.sh service
-	@tools/environment.sh bench
-	@.venv/bench/bin/python -m tests.faults.run $(FAULTS_ARGS)
+	@tools/environment.sh tools
+	@.venv/tools/bin/python -m tests.faults.run $(FAULTS_ARGS)
 
 soak:
 	@tools/environment.sh service
-	@tools/environment.sh bench
-	@.venv/bench/bin/python -m tests.soak.serve_long $(SOAK_ARGS)
+	@tools/environment.sh tools
+	@.venv/tools/bin/python -m tests.soak.serve_long $(SOAK_ARGS)
 
+SBOM_service := --extra service --extra simulation
+SBOM_ray := --extra ray
+SBOM_training := --extra training
 sbom:
-	@tools/environment.sh supply
+	@tools/environment.sh tools
 	@mkdir -p build
-	@for name in service ray training; do \
-		.venv/supply/bin/cyclonedx-py requirements requirements/$$name.txt --pyproject pyproject.toml \
+	@for image in 'service $(SBOM_service)' 'ray $(SBOM_ray)' 'training $(SBOM_training)'; do \
+		set -- $$image; name=$$1; shift; \
+		.venv/uv/bin/uv export --frozen --quiet --no-emit-project --no-annotate --no-header "$$@" \
+			| .venv/tools/bin/cyclonedx-py requirements - --pyproject pyproject.toml \
 			--mc-type application --output-reproducible --sv 1.6 -o build/sbom-$$name.json || exit 1; \
 		echo "rollcast: build/sbom-$$name.json"; \
 	done
 
 licences:
-	@tools/environment.sh supply
+	@tools/environment.sh tools
 	@tools/environment.sh service
-	@.venv/supply/bin/pip-licenses --python .venv/service/bin/python --format markdown --with-urls \
+	@.venv/tools/bin/pip-licenses --python .venv/service/bin/python --format markdown --with-urls \
 		--order license --ignore-packages pip setuptools > docs/licences.md.new
 	@{ echo '<!-- Made by `make licences`; do not edit. -->'; echo '# Licences'; echo; \
 		echo 'What the service is made of, in the versions of its lock.'; echo; \
 		cat docs/licences.md.new; } > docs/licences.md && rm docs/licences.md.new
 
 lint:
-	@tools/environment.sh test --torch
+	@tools/environment.sh test
 	$(call step,ruff format,$(BIN)/ruff format --check --quiet . || { $(BIN)/ruff format --check .; false; })
 	$(call step,ruff check,$(BIN)/ruff check .)
 	$(call step,pyright,$(BIN)/pyright)
 	$(call step,import-linter,$(BIN)/lint-imports --no-logo)
 
 format:
-	@tools/environment.sh test --torch
+	@tools/environment.sh test
 	$(BIN)/python -m tests.rollcast.write_sync_client
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
 environments:
-	@tools/environment.sh test --torch
+	@tools/environment.sh test
 	@tools/environment.sh service
 	@tools/environment.sh service-test
-	@tools/environment.sh protocol
+	@tools/environment.sh peers
+	@tools/environment.sh service-3.13
 
-# The lock of the tests holds every package but Ray; the others take their versions from it.
-TEST_EXTRAS := simulation video dataframe service training test bench lint
-UV_COMPILE = .venv/lock/bin/uv pip compile pyproject.toml --quiet --universal --python-version 3.11 \
-	--generate-hashes --no-emit-package torch --annotation-style line --no-emit-index-url \
-	--custom-compile-command 'make lock' $(if $(UPGRADE),--upgrade)
+# The lock contains addresses of the public index, whichever index this machine is configured with.
+PUBLIC_INDEX := --default-index https://pypi.org/simple
 
 lock:
-	@test -x .venv/lock/bin/uv || { $(or $(PYTHON),python3) -m venv .venv/lock; }
-	@.venv/lock/bin/python -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION)
-	$(UV_COMPILE) $(TEST_EXTRAS:%=--extra %) --output-file requirements/test.txt
-	$(UV_COMPILE) --extra service --constraint requirements/test.txt \
-		--output-file requirements/service.txt
-	$(UV_COMPILE) --extra service --extra test --constraint requirements/test.txt \
-		--output-file requirements/service-test.txt
-	$(UV_COMPILE) --extra training --constraint requirements/test.txt \
-		--output-file requirements/training.txt
-	$(UV_COMPILE) --extra ray --constraint requirements/test.txt \
-		--output-file requirements/ray.txt
-	$(UV_COMPILE) --extra ray --extra ray-training --extra test --extra bench --constraint requirements/test.txt \
-		--output-file requirements/cluster.txt
-	$(UV_COMPILE) --extra bench --constraint requirements/test.txt \
-		--output-file requirements/bench.txt
-	$(foreach name,fuzz mutation,$(UV_COMPILE) --extra $(name) --constraint requirements/test.txt \
-		--output-file requirements/$(name).txt &&) true
-	$(foreach name,protocol browser docs image supply $(PEERS),$(UV_COMPILE:pyproject.toml=) \
-		--group pyproject.toml:$(name) --output-file requirements/$(name).txt &&) true
+	@tools/environment.sh uv
+	@.venv/uv/bin/uv lock $(PUBLIC_INDEX) $(if $(UPGRADE),--upgrade)
+	@{ echo '# uv itself, which installs all other packages. Written by `make lock`.'; \
+		echo 'uv==$(UV_VERSION)' | .venv/uv/bin/uv pip compile - --no-config $(PUBLIC_INDEX) --quiet --universal \
+			--python-version 3.11 --generate-hashes --no-emit-index-url --no-header --no-annotate; \
+	} > .venv/uv.txt && mv .venv/uv.txt tools/uv.txt
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist docs/generated *.egg-info

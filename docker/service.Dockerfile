@@ -8,21 +8,26 @@
 #
 # With Ray, for docker/kubernetes/ray.yaml:
 #
-#   docker build -f docker/service.Dockerfile --build-arg LOCK=ray -t rollcast-ray .
+#   docker build -f docker/service.Dockerfile --build-arg EXTRA=ray -t rollcast-ray .
 
 FROM docker.io/library/python:3.11-slim-bookworm AS build
-ARG LOCK=service
-RUN python -m venv /opt/rollcast
-COPY requirements/${LOCK}.txt /tmp/
-RUN /opt/rollcast/bin/pip install --no-cache-dir --no-compile --no-input --require-hashes \
-        -r /tmp/${LOCK}.txt \
-    && /opt/rollcast/bin/pip check
+ARG EXTRA=service
+COPY tools/uv.txt /tmp/
+RUN python -m venv /opt/uv \
+    && /opt/uv/bin/pip install --no-cache-dir --no-input --require-hashes -r /tmp/uv.txt
+ENV UV_PROJECT_ENVIRONMENT=/opt/rollcast \
+    UV_PYTHON_DOWNLOADS=never \
+    UV_SYSTEM_CERTS=1
+WORKDIR /build
+COPY pyproject.toml uv.lock ./
+RUN /opt/uv/bin/uv sync --no-cache --frozen --no-install-project --python python \
+        --extra simulation --extra "${EXTRA}" \
+    && /opt/uv/bin/uv pip check --python /opt/rollcast/bin/python
 # The service simulates against its own surfaces and draws its own pictures: PyBullet's robots, its
-# learning environments and its renderer on a graphics card are not needed, nor what installs.
+# learning environments and its renderer on a graphics card are not needed.
 WORKDIR /opt/rollcast/lib/python3.11/site-packages
 RUN rm -rf pybullet_data pybullet_envs pybullet_examples pybullet_robots pybullet_utils \
-        eglRenderer*.so pip pip-* setuptools setuptools-* _distutils_hack distutils-precedence.pth \
-    && rm -f /opt/rollcast/bin/pip*
+        eglRenderer*.so
 WORKDIR /app
 COPY rollcast rollcast
 COPY service service

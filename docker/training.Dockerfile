@@ -7,12 +7,21 @@
 
 FROM docker.io/library/python:3.11-slim-bookworm AS build
 ARG TORCH_INSTALL_ARGS=""
-RUN python -m venv /opt/rollcast
-COPY requirements/training.txt requirements/constraints-torch.txt /tmp/
-RUN /opt/rollcast/bin/pip install --no-cache-dir --no-input --require-hashes -r /tmp/training.txt \
-    && /opt/rollcast/bin/pip install --no-cache-dir --no-input -c /tmp/constraints-torch.txt \
-        ${TORCH_INSTALL_ARGS} torch \
-    && /opt/rollcast/bin/pip check
+COPY tools/uv.txt /tmp/
+RUN python -m venv /opt/uv \
+    && /opt/uv/bin/pip install --no-cache-dir --no-input --require-hashes -r /tmp/uv.txt
+ENV UV_COMPILE_BYTECODE=1 \
+    UV_PROJECT_ENVIRONMENT=/opt/rollcast \
+    UV_PYTHON_DOWNLOADS=never \
+    UV_SYSTEM_CERTS=1
+WORKDIR /build
+COPY pyproject.toml uv.lock ./
+# torch by pip, as in tools/environment.sh.
+RUN /opt/uv/bin/uv sync --no-cache --frozen --no-install-project --no-install-package torch \
+        --python python --extra training \
+    && /opt/uv/bin/pip --python /opt/rollcast/bin/python install --no-cache-dir --no-input --no-deps \
+        ${TORCH_INSTALL_ARGS} "$(grep -o 'torch==[0-9.]*' pyproject.toml)" \
+    && /opt/uv/bin/uv pip check --python /opt/rollcast/bin/python
 
 FROM docker.io/library/python:3.11-slim-bookworm
 LABEL org.opencontainers.image.title="Rollcast training" \

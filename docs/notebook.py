@@ -1,7 +1,7 @@
 """``python -m docs.notebook``: execute the guide's notebook and keep its outputs.
 
 A service is started for it. With ``--check`` nothing is written; it fails when a cell fails, or
-when what a cell says is no longer what the notebook holds. Needs `.venv/docs` and `.venv/service`.
+when what a cell says is no longer what the notebook holds. Needs `.venv/tools` and `.venv/service`.
 """
 
 import argparse

@@ -36,10 +36,10 @@ from rollcast.plot import PALETTE, draw_forecast
 from rollcast.scene import SCENARIOS, Scenario
 from rollcast.simulation import Sequence, Simulator
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
-from service.loading import load_registry
-from service.registry import Wish
-from service.rollout import Predictor, assemble, roll_out
-from training.ground import resting_ground
+from service.inference.rollout import Predictor, assemble, roll_out
+from service.serving.loading import load_registry
+from service.serving.registry import ModelQuery
+from training.data.rest_height_map import resting_ground
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs/images"
@@ -64,7 +64,7 @@ def main() -> None:
 
 def forecast() -> Image.Image:
     """Draw a forecast as ``rollcast predict`` does, over the frames that followed."""
-    predictor = _predictor(Wish())
+    predictor = _predictor(ModelQuery())
     sequence = _sequence("ellipsoid", 1, 7, start_step=160)
     seen = sequence.render(NETWORK_FRAME_SIZE)[None, :OBSERVED_FRAMES]
     made = assemble(roll_out(predictor, seen, STEPS), predictor.manifest.covariance)
@@ -147,7 +147,7 @@ def conventions() -> Figure:
 
 def ground() -> Figure:
     """Draw the map that FieldNet's eye draws of the ground beside the true one."""
-    predictor = _predictor(Wish("fieldnet"))
+    predictor = _predictor(ModelQuery("fieldnet"))
     figure = Figure(figsize=(8.4, 4.9), layout="constrained")
     rows = figure.subplots(2, 3)
     for row, (scenario, seed) in zip(rows, (("ellipsoid", 3), ("heightfield", 28)), strict=True):
@@ -177,7 +177,7 @@ def ground() -> Figure:
 
 def uncertainty() -> Figure:
     """Draw forecasts of "auto" with their ellipses over the last seen frame, and the truth."""
-    predictor = _predictor(Wish())
+    predictor = _predictor(ModelQuery())
     figure = Figure(figsize=(8.0, 2.75), layout="constrained")
     shown = [("hemisphere", 16), ("ellipsoid", 3), ("heightfield", 15), ("heightfield", 35)]
     for axes, (scenario, seed) in zip(figure.subplots(1, 4), shown, strict=True):
@@ -277,8 +277,8 @@ def _pixels(sequence: Sequence, image_size: int) -> np.ndarray:
     return camera.project(sequence.trajectory.positions_m).transpose(1, 0, 2)
 
 
-def _predictor(wish: Wish) -> Predictor:
-    return load_registry(ROOT / "models", "fieldnet").choose(wish)
+def _predictor(query: ModelQuery) -> Predictor:
+    return load_registry(ROOT / "models", "fieldnet").choose(query)
 
 
 if __name__ == "__main__":

@@ -13,16 +13,16 @@ from typing import Any
 from sphinx.pycode import ModuleAnalyzer
 from typer.testing import CliRunner
 
-import rollcast.http
 import rollcast.scene
-import service.protocol
+import rollcast.schemas
+import service.http.oip.schemas
 from rollcast.__main__ import app as commands_app
-from rollcast.http import StreamDone, StreamStep
+from rollcast.schemas import StreamDone, StreamStep
 from service.errors import ServiceError
 from service.settings import PREFIX, Settings
 
 CONTRACT = "tests/contract/openapi.json"
-BODIES = (rollcast.http, rollcast.scene, service.protocol)
+BODIES = (rollcast.schemas, rollcast.scene, service.http.oip.schemas)
 """Modules whose classes are the schemas of the contract: they describe every field."""
 FOLDER = "generated"
 PARTS = "parts"

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from rollcast.client import Client
+from rollcast.client.settings import API_KEY_VARIABLE
 from rollcast.commands import doctor, models, predict, serve, simulate, track
 from rollcast.commands.options import CommandError, Connect, Outcome
 from rollcast.errors import RollcastError, UnreachableError
@@ -33,7 +34,6 @@ A first try:
 Exit codes: 0 done, 1 it failed (one line on stderr says why), 2 the arguments are wrong.
 `rollcast --install-completion` completes commands and options in your shell.
 """
-API_KEY_VARIABLE = "ROLLCAST_API_KEY"
 USAGE = 2
 """Exit code for arguments that are wrong."""
 INTERRUPTED = 130
@@ -51,9 +51,9 @@ def _with_key(
     api_key: Annotated[
         str | None,
         typer.Option(
-            envvar=API_KEY_VARIABLE,
             metavar="KEY",
-            help="for a service that asks for an API key; better in the environment than here",
+            help="API key, for a service that asks for one; better in the environment, as "
+            f"{API_KEY_VARIABLE}",
             show_default=False,
         ),
     ] = None,

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 BOWL_HALF_WIDTH_M = 1.05
 HEIGHTFIELD_HALF_WIDTH_M = 1.25
+TABLE_HALF_WIDTH_M = 1.25
 NETWORK_FRAME_SIZE = 128
 """Side in pixels of the frames that the networks see, and the unit of every published error."""
 
@@ -60,6 +61,6 @@ class Camera:
 
 
 def camera_for(scenario: str, image_size: int) -> Camera:
-    """Return the camera that the paper points at a scenario."""
-    heightfield = scenario == "heightfield"
-    return Camera(HEIGHTFIELD_HALF_WIDTH_M if heightfield else BOWL_HALF_WIDTH_M, image_size)
+    """Return the camera of a scenario: the paper's, and one of the same kind over tables."""
+    half_widths_m = {"heightfield": HEIGHTFIELD_HALF_WIDTH_M, "table": TABLE_HALF_WIDTH_M}
+    return Camera(half_widths_m.get(scenario, BOWL_HALF_WIDTH_M), image_size)

@@ -1,25 +1,27 @@
 """Every exception that this package raises on purpose.
 
 * RollcastError
-  x SceneParametersError    scene parameters that do not fit together
-  x SceneRejectedError      no acceptable scene comes out of a seed and its parameters
-  x FootageError            a video or image file cannot be read as asked
-    + CropError             a crop does not lie inside the picture
-  x MissingExtraError       a package is not installed that one of the extras brings
-  x ClientError             a call through ``rollcast.client`` failed
-    + UnreachableError      the service did not answer
-    + UnexpectedAnswerError the answer is not one of this API's
-    + ProblemError          the service answered with a problem document
-      - RefusedError        the request is at fault (400, 404, 413, 415, 422)
-        > DeniedError         the API key is missing, not known or not good for this (401, 403)
-      - BusyError           the queue is full (429)
-      - ServiceFailedError  the service is at fault or not ready (5xx)
+  x SceneParametersError      scene parameters that do not fit together
+  x SceneRejectedError        no acceptable scene comes out of a seed and its parameters
+  x FootageError              a video or image file cannot be read as asked
+    + CropError               a crop does not lie inside the picture
+  x MissingExtraError         a package is not installed that one of the extras brings
+  x ClientError               a call through ``rollcast.client`` failed
+    + InvalidArgumentError    an argument or environment variable cannot be used; nothing was sent
+    + UnreachableError        the service did not answer
+      - RequestTimeoutError   it did not answer within the client's ``timeout_s``
+    + UnexpectedAnswerError   the answer is not a valid answer of this API
+    + ProblemError            the service answered with a problem document
+      - BadRequestError       the request is at fault (400, 404, 413, 415, 422)
+        > AuthError           the API key is missing, unknown or lacks the scope (401, 403)
+      - OverloadedError       the queue is full or the rate limit is exceeded (429)
+      - ServerError           the service failed or is not ready (5xx)
 """
 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rollcast.http import Problem
+    from rollcast.schemas import Problem
 
 
 class RollcastError(Exception):
@@ -84,29 +86,42 @@ class ClientError(RollcastError):
 
     Attributes
     ----------
+    status_code
+        HTTP status of the answer; None when there was none.
+    request_id
+        Identifier of the request (``X-Request-ID``), which the service's log lines carry too; None
+        when nothing was sent.
     retry_after_s
         Seconds after which the service asks to be tried again; 0 where it says nothing.
     """
 
+    status_code: int | None = None
+    request_id: str | None = None
     retry_after_s: float = 0.0
 
 
+class InvalidArgumentError(ClientError, ValueError):
+    """An argument or an environment variable of the client cannot be used; nothing was sent."""
+
+
 class UnreachableError(ClientError):
-    """The service did not answer: it is down, the address is wrong, or the time ran out."""
+    """The service did not answer: it is down, the address is wrong, or the connection was lost."""
+
+
+class RequestTimeoutError(UnreachableError, TimeoutError):
+    """The call took longer than the client's ``timeout_s``, retries included."""
 
 
 class UnexpectedAnswerError(ClientError):
-    """The answer is not one of this API's: something else listens, or stands in between.
+    """The answer is not a valid answer of this API.
 
-    Attributes
-    ----------
-    status
-        Its HTTP status.
+    Another program answers at this address or in between, or the answer is incomplete,
+    contradicts itself, or is larger than the client accepts.
     """
 
-    def __init__(self, message: str, status: int) -> None:
+    def __init__(self, message: str, status_code: int | None = None) -> None:
         super().__init__(message)
-        self.status = status
+        self.status_code = status_code
 
 
 class ProblemError(ClientError):
@@ -121,23 +136,24 @@ class ProblemError(ClientError):
     def __init__(self, problem: "Problem") -> None:
         super().__init__(problem)
         self.problem = problem
+        self.status_code = problem.status
 
     def __str__(self) -> str:
-        """Return the document's own words."""
+        """Return the document's title, status and detail."""
         return f"{self.problem.title} ({self.problem.status}): {self.problem.detail}"
 
 
-class RefusedError(ProblemError):
+class BadRequestError(ProblemError):
     """The request is at fault; sending it again unchanged does not help."""
 
 
-class DeniedError(RefusedError):
-    """An API key is missing, not known, has expired or has not the right."""
+class AuthError(BadRequestError):
+    """The API key is missing, unknown or expired, or it lacks the scope."""
 
 
-class BusyError(ProblemError):
-    """The service's queue is full."""
+class OverloadedError(ProblemError):
+    """The request queue is full, or the rate limit is exceeded."""
 
 
-class ServiceFailedError(ProblemError):
-    """The service failed, is not ready yet or is going down."""
+class ServerError(ProblemError):
+    """The service failed, is not ready yet or is shutting down."""

@@ -94,7 +94,7 @@ class Footage:
                 f"the frames end after {self.times_s[-1]:.3f} s; {count} frames, {frame_rate:g} a "
                 f"second, need {wanted_s[-1]:.3f} s"
             )
-        made: list[Moment] = []
+        made: list[TimedFrame] = []
         for time_s in wanted_s.tolist():
             taken_before = int(np.count_nonzero(self.times_s < time_s))
             after = min(max(taken_before, 1), len(self.times_s) - 1)
@@ -108,7 +108,7 @@ class Footage:
 
 
 @dataclass(frozen=True)
-class Moment:
+class TimedFrame:
     """A picture and when it was taken, or would have been."""
 
     picture: UInt8[np.ndarray, "height width 3"]
@@ -124,7 +124,7 @@ def between(
     after_s: float,
     time_s: float,
     near_s: float,
-) -> Moment:
+) -> TimedFrame:
     """Return the picture at a time between two: the two of them, faded into each other.
 
     A forecast from pictures made so is nearly as good as one from pictures that were taken then,
@@ -137,13 +137,13 @@ def between(
     """
     nearest, nearest_s = min((before, before_s), (after, after_s), key=lambda p: abs(p[1] - time_s))
     if abs(nearest_s - time_s) <= near_s:
-        return Moment(nearest, nearest_s)
+        return TimedFrame(nearest, nearest_s)
     share = (time_s - before_s) / (after_s - before_s)
     mixed = (1 - share) * before.astype(np.float32) + share * after.astype(np.float32)
-    return Moment(mixed.round().astype(np.uint8), time_s, after_s - before_s)
+    return TimedFrame(mixed.round().astype(np.uint8), time_s, after_s - before_s)
 
 
-def from_moments(moments: Sequence[Moment], crop: SquareCrop | None) -> Footage:
+def from_moments(moments: Sequence[TimedFrame], crop: SquareCrop | None) -> Footage:
     """Cut the same square out of every picture, by default the largest one in their middle."""
     height, width = moments[0].picture.shape[:2]
     crop = crop or SquareCrop.centred(width, height)
@@ -182,7 +182,7 @@ def read_images(
             height, width = picture.shape[:2]
             expected = f"{pictures[0].shape[1]} x {pictures[0].shape[0]}"
             raise FootageError(f"{path} is {width} x {height}, the first image {expected}")
-    moments = [Moment(picture, index / frame_rate) for index, picture in enumerate(pictures)]
+    moments = [TimedFrame(picture, index / frame_rate) for index, picture in enumerate(pictures)]
     return from_moments(moments, crop)
 
 

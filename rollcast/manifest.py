@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
 
 from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.files import read_regular_file
 from rollcast.scene import COLORS, MAX_FORECAST_OBJECTS, BallColor, Domain, Scenario
 from rollcast.trajectory import OBSERVED_FRAMES
 
@@ -22,7 +23,7 @@ MANIFEST_FILE = "manifest.json"
 CARD_FILE = "MODEL_CARD.md"
 GOLDEN_FILE = "golden.npz"
 FAMILIARITY_FILE = "familiarity.npz"
-"""What the training frames look like (``rollcast.familiarity``); not every artefact has it."""
+"""What the training frames look like (``rollcast.ood``); not every artefact has it."""
 HASHED_FILES = (ENCODER_FILE, STEP_FILE, CARD_FILE, GOLDEN_FILE)
 """Those that every artefact has."""
 
@@ -133,7 +134,7 @@ class Parity(_Part):
 
 
 class Unfamiliar(_Part):
-    """When frames look unlike those of the training (``rollcast.familiarity``)."""
+    """When frames look unlike those of the training (``rollcast.ood``)."""
 
     threshold: Positive
     """Score above which they do."""
@@ -271,7 +272,7 @@ class Manifest(_Part):
         pydantic.ValidationError
             When it is not a manifest; the error names every field that is wrong.
         """
-        return cls.model_validate_json(path.read_bytes())
+        return cls.model_validate_json(read_regular_file(path))
 
     def write(self, path: Path) -> None:
         """Write the manifest as indented JSON, so that versions can be compared line by line.

@@ -300,14 +300,63 @@ class Heightfield:
         return NOISE_AMPLITUDE_M * n, normal
 
 
+class Table:
+    """The plane z = slope_x x + slope_y y between four vertical walls.
+
+    Parameters
+    ----------
+    slope
+        Rise per metre along the world's x and y.
+    walls_m
+        Left, bottom, right and top wall, world x and y.
+    """
+
+    def __init__(
+        self, slope: tuple[float, float], walls_m: tuple[float, float, float, float]
+    ) -> None:
+        self.walls_m = walls_m
+        self._slope = slope
+        length = math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
+        self._normal = (-slope[0] / length, -slope[1] / length, 1 / length)
+
+    def contact_at(self, x: float, y: float) -> Contact:
+        """Surface point straight below or above (x, y)."""
+        return Contact((x, y, self._slope[0] * x + self._slope[1] * y), self._normal)
+
+    def contacts(self, centre: Vector3, radius: float) -> list[Contact]:  # noqa: ARG002
+        """Return the nearest point of the plane."""
+        gap = _clearance(self.contact_at(centre[0], centre[1]), centre)
+        x, y, z = (c - gap * n for c, n in zip(centre, self._normal, strict=True))
+        return [Contact((x, y, z), self._normal)]
+
+    def clears(self, centre: Vector3, radius: float) -> bool:
+        """Whether a ball can start at ``centre``: above the table and within the walls."""
+        left, bottom, right, top = self.walls_m
+        sides = (centre[0] - left, right - centre[0], centre[1] - bottom, top - centre[1])
+        if min(sides) < radius - _TOUCH_M:
+            return False
+        below = self.contact_at(centre[0], centre[1])
+        return _clearance(below, centre) >= radius - _TOUCH_M
+
+    def height_and_normal(
+        self, x: Float[np.ndarray, "*batch"], y: Float[np.ndarray, "*batch"]
+    ) -> tuple[Float[np.ndarray, "*batch"], Float[np.ndarray, "*batch 3"]]:
+        """Height z and unit normal over points of the plane."""
+        z = self._slope[0] * x + self._slope[1] * y
+        return z, np.broadcast_to(np.array(self._normal), (*z.shape, 3))
+
+
 def _clearance(contact: Contact, centre: Vector3) -> float:
     """Signed distance of a point from the tangent plane of a contact."""
     gaps = zip(contact.normal, centre, contact.point, strict=True)
     return sum(n * (c - p) for n, c, p in gaps)
 
 
-def surface_of(scene: Scene) -> EllipsoidalBowl | Heightfield:
+def surface_of(scene: Scene) -> EllipsoidalBowl | Heightfield | Table:
     """Build the surface that a scene describes."""
+    if scene.slope is not None:
+        assert scene.walls_m is not None
+        return Table(scene.slope, scene.walls_m)
     if scene.axis_ratio is not None:
         return EllipsoidalBowl(scene.axis_ratio, scene.rotation_rad)
     assert scene.noise_scale is not None

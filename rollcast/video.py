@@ -24,8 +24,8 @@ from rollcast.footage import (
     RATE_TOLERANCE,
     SNAP,
     Footage,
-    Moment,
     SquareCrop,
+    TimedFrame,
     between,
     from_moments,
 )
@@ -139,11 +139,11 @@ def frames_at(
         taken = list(_nearest(moments, times_s))
         if not taken:
             raise FootageError(f"{path} ends before {times_s[0]:.3f} s")
-        shown = [Moment(_pixels(moment), moment.time_s) for moment in taken]
+        shown = [TimedFrame(_pixels(moment), moment.time_s) for moment in taken]
         return from_moments(shown, crop)
 
 
-def every_frame(path: Path | str) -> Iterator[Moment]:
+def every_frame(path: Path | str) -> Iterator[TimedFrame]:
     """Read all frames of a video, whole, as the camera took them.
 
     Raises
@@ -153,7 +153,7 @@ def every_frame(path: Path | str) -> Iterator[Moment]:
     """
     with _opened(path) as container:
         for shown in _moments_from(container, path, 0.0):
-            yield Moment(_pixels(shown), shown.time_s)
+            yield TimedFrame(_pixels(shown), shown.time_s)
 
 
 @contextmanager
@@ -234,7 +234,7 @@ def _distance(times_s: Sequence[float]) -> float:
 
 def _between(
     moments: Iterable[_Shown], wanted_s: Sequence[float], near_s: float
-) -> Iterator[Moment]:
+) -> Iterator[TimedFrame]:
     """Yield a picture for each of some ascending times, blended where none is near (`between`)."""
     moments = iter(moments)
     before = next(moments, None)

@@ -32,7 +32,7 @@ def main() -> int:
     if settings.keys_file is None and not settings.anonymous and not _is_loopback(host):
         return _fail(
             f"will not listen on {host} without API keys, for others may reach it. Name a file of "
-            "keys (python -m service.keys makes it): ROLLCAST_KEYS_FILE=keys.json. Or let "
+            "keys (python -m service.auth makes it): ROLLCAST_KEYS_FILE=keys.json. Or let "
             "everybody ask: ROLLCAST_ANONYMOUS=true"
         )
     try:
@@ -57,12 +57,12 @@ def main() -> int:
 
 def _answer(settings: "Settings", source: "socket.socket | Siblings") -> None:
     """Serve connections from a listening socket, or from the process that accepts them."""
-    from service.loading import begin_loading
+    from service.serving.loading import begin_loading
 
     alone = isinstance(source, socket.socket)
     load = begin_loading(settings.models_dir, proves=(0, 1) if alone else source.proves)
     # The web framework takes as long as the models: they load meanwhile, on another core.
-    from service.server import serve
+    from service.process.server import serve
 
     serve(settings, load, source)
 
@@ -107,7 +107,9 @@ def _is_loopback(host: str) -> bool:
 
 
 def _fail(reason: str) -> int:
-    print(f"rollcast: {reason}", file=sys.stderr)
+    from service.auth.api_keys import without_tokens
+
+    print(f"rollcast: {without_tokens(reason)}", file=sys.stderr)
     return 1
 
 

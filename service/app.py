@@ -6,18 +6,16 @@ from contextlib import asynccontextmanager, suppress
 
 from fastapi import Depends, FastAPI
 from fastapi_offline import FastAPIOffline
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
-from rollcast.http import API_VERSION
-from service.access import check_access
-from service.headers import install_headers
-from service.keyring import Keyring
-from service.loading import Loader, load_registry
-from service.logs import install_access_log
-from service.metrics import Metrics
-from service.openapi import install_openapi
-from service.problems import install_problem_handlers
-from service.rates import Rates
-from service.routes import (
+from rollcast.schemas import API_VERSION
+from service.auth.api_keys import ApiKeyStore
+from service.auth.rate_limit import RateLimiter
+from service.http.authorization import check_access
+from service.http.openapi import install_openapi
+from service.http.problem_details import install_problem_handlers
+from service.http.root_path import RootPath
+from service.http.routes import (
     health,
     home,
     inference,
@@ -27,12 +25,19 @@ from service.routes import (
     repository,
     simulate,
 )
-from service.scheduler import Scheduler
+from service.http.security_headers import install_headers
+from service.inference.admission import Workers
+from service.inference.body_budget import BodyBudget
+from service.inference.daemon_threads import run_in_daemon_thread
+from service.inference.memory import return_freed_memory
+from service.inference.scheduler import Scheduler
+from service.observability.log_config import install_access_log
+from service.observability.metrics import Metrics
+from service.serving.loading import Loader, load_registry
 from service.settings import Settings
 from service.siblings import Siblings
-from service.simulations import RecycledProcess
+from service.simulation.pool import RecycledProcess
 from service.state import State
-from service.workers import Workers
 
 
 def create_app(
@@ -71,13 +76,15 @@ def create_app(
             ),
             metrics=figures,
             load=load,
-            keyring=None if settings.keys_file is None else Keyring(settings.keys_file),
-            rates=None
+            bodies=BodyBudget(settings.max_total_body_bytes),
+            api_keys=None if settings.keys_file is None else ApiKeyStore(settings.keys_file),
+            rate_limiter=None
             if settings.requests_per_minute is None
-            else Rates(settings.requests_per_minute),
+            else RateLimiter(settings.requests_per_minute),
             siblings=siblings,
         )
         app.state.service = state
+        return_freed_memory()
         loading = asyncio.create_task(_load(state))
         yield
         state.phase = "draining"
@@ -108,6 +115,11 @@ def create_app(
     install_openapi(app)
     install_access_log(app, settings.replica, figures.request)
     install_headers(app, settings.allowed_origins)
+    if settings.root_path:
+        app.add_middleware(RootPath, prefix=settings.root_path)
+    if settings.trusted_proxies:
+        trusted = [str(network) for network in settings.trusted_proxies]
+        app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=trusted)
     for feature in (predict, simulate, models, inference, repository, health, metrics, home):
         app.include_router(feature.router)
     home.install_static_files(app)
@@ -117,7 +129,7 @@ def create_app(
 async def _load(state: State) -> None:
     """Load the models while the service already answers that it does so."""
     with state.metrics.loading.time():
-        registry = await asyncio.to_thread(state.load, state.settings.models_dir)
+        registry = await run_in_daemon_thread(state.load, state.settings.models_dir)
     state.serve(registry)
     if state.siblings is not None:
         refused = await state.siblings.ready(state.registry.refused)

@@ -7,7 +7,7 @@
   x UnknownModelError          404
   x BodyTooSlowError           408
   x BodyTooLargeError          413
-  x UnsupportedMediaTypeError  415  neither JSON nor multipart
+  x UnsupportedMediaTypeError  415  neither JSON nor multipart, or a compressed body
   x NotAnImageError            415  neither PNG nor JPEG nor WebP
   x BrokenImageError           422  the header is fine, the pixels are not
   x InvalidValueError          422  one or several values are wrong
@@ -16,13 +16,15 @@
   x DivergedError              422  the forecast leaves every bound before its horizon
   x QueueFullError             429
   x TooManyRequestsError       429  one key, or one address, asks more often than it may
+  x SimulationMissingError     501  PyBullet is not installed
   x SimulationLostError        503  the process that simulates died of it, or cannot be started
+  x TooManyBodiesError         503  all bodies that are being read exceed their budget
   x OutOfMemoryError           503  the machine, or the container, has no memory left for it
   x ModelUnavailableError      503  the model exists and is not served
   x NotReadyError              503  no model is served, yet or any more
   x DeadlineExceededError      504  the answer takes longer than the client waits
 
-``service/problems.py`` turns them into problem documents (RFC 9457).
+``service/http/problem_details.py`` turns them into problem documents (RFC 9457).
 """
 
 from collections.abc import Sequence
@@ -169,10 +171,22 @@ class TooManyRequestsError(ServiceError):
         self.retry_after_s = retry_after_s
 
 
+class SimulationMissingError(ServiceError):
+    """PyBullet, the extra ``simulation``, is not installed in the service's environment."""
+
+    status, slug, title = 501, "simulation-not-installed", "Simulation is not installed"
+
+
 class SimulationLostError(ServiceError):
     """The process that simulates died before it had answered."""
 
     status, slug, title = 503, "simulation-lost", "The simulation was lost"
+
+
+class TooManyBodiesError(ServiceError):
+    """All request bodies together exceed the bytes that the service holds."""
+
+    status, slug, title = 503, "too-many-bodies", "Too many request bodies at once"
 
 
 class OutOfMemoryError(ServiceError):

@@ -9,7 +9,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 from loky import cpu_count
-from pydantic import DirectoryPath, Field, FilePath, ValidationError, model_validator
+from pydantic import (
+    DirectoryPath,
+    Field,
+    FilePath,
+    IPvAnyNetwork,
+    model_validator,
+)
 from pydantic_settings import (
     BaseSettings,
     PydanticBaseSettingsSource,
@@ -17,14 +23,13 @@ from pydantic_settings import (
     TomlConfigSettingsSource,
 )
 
-from service.keyring import KeyFile
+from service.auth.api_keys import KeyFile
 
 PREFIX = "ROLLCAST_"
 FILE_VARIABLE = "ROLLCAST_SETTINGS_FILE"
 """Names a TOML file of settings; variables of the environment go before it."""
-OTHER_VARIABLES = frozenset({FILE_VARIABLE, "ROLLCAST_RUNS", "ROLLCAST_API_KEY"})
-"""The file's own, and those that the training and the command `rollcast` read: they may stand in
-the same environment."""
+OTHER_VARIABLES = frozenset({FILE_VARIABLE, "ROLLCAST_RUNS", "ROLLCAST_API_KEY", "ROLLCAST_URL"})
+"""Variables of this file, of the training and of the client, all in the same environment."""
 
 TRACE_RECEIVERS = {"OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT"}
 """Variables of OpenTelemetry that say where traces go."""
@@ -79,7 +84,7 @@ class Settings(BaseSettings):
     models_dir: DirectoryPath = Path(__file__).resolve().parents[1] / "models"
     """Folder of the artefacts, ``NAME/VERSION/``."""
     keys_file: FilePath | None = None
-    """File of API keys, which `python -m service.keys` makes; it is read again when it changes.
+    """File of API keys, which `python -m service.auth` makes; it is read again when it changes.
     Without one nobody is asked for a key."""
     anonymous: bool = False
     """Whether everybody may ask on addresses that others reach. Without keys and without this the
@@ -87,11 +92,21 @@ class Settings(BaseSettings):
     requests_per_minute: Annotated[int, Field(ge=1)] | None = None
     """Requests that each key may send in a minute, or without keys each address; one more is
     refused with 429. By default as many as it likes. They are counted by a single process."""
+    trusted_proxies: tuple[IPvAnyNetwork, ...] = ()
+    """Addresses or networks of reverse proxies, a JSON list, whose headers X-Forwarded-For and
+    X-Forwarded-Proto tell the client's address and scheme. By default no such header is
+    believed."""
+    root_path: Annotated[str, Field(pattern=r"^(/[A-Za-z0-9._~-]+)*$")] = ""
+    """Prefix under which a reverse proxy serves this service, as in ``/rollcast``; `/docs` needs
+    it. The proxy may strip it or pass it on."""
     allowed_origins: tuple[Origin, ...] = ()
     """Origins of web pages, SCHEME://HOST[:PORT], that may ask the service from a browser; "*"
     stands for all of them. By default its own page alone."""
     max_body_bytes: Annotated[int, Field(ge=1)] = 64 * MEBI
     """Largest request body; a larger one is refused with 413 while it is being read."""
+    max_total_body_bytes: Annotated[int, Field(ge=1)] = 256 * MEBI
+    """Bytes of all request bodies that one process holds until they have been parsed and answered.
+    Beyond it the largest body that is still arriving is refused with 503."""
     receive_timeout_s: Annotated[float, Field(gt=0)] = 60
     """Seconds in which the head of a request has to arrive, and then its body: a slower body is
     refused with 408, and its connection closed."""
@@ -120,8 +135,9 @@ class Settings(BaseSettings):
     simulation_timeout_s: Annotated[float, Field(gt=0)] = 120
     """Seconds after which a simulation is given up with 504 and its process killed; the next one
     gets a new process."""
-    max_simulated_pixels: Annotated[int, Field(ge=1)] = 64 * MEBI
-    """Largest number of pixels, all frames together, that one simulation may draw."""
+    max_simulated_pixels: Annotated[int, Field(ge=1)] = 16 * MEBI
+    """Largest number of pixels, all frames together, that one simulation may draw; by default
+    enough for 1000 frames of 128 pixels."""
     retry_after_s: Annotated[int, Field(ge=1)] = 1
     """Seconds after which a refused client is asked to come back (the header Retry-After)."""
     drain_s: Annotated[float, Field(ge=0)] = 0
@@ -183,7 +199,7 @@ class Settings(BaseSettings):
         if self.keys_file is not None:
             try:
                 KeyFile.read(self.keys_file)
-            except (OSError, ValidationError) as error:
+            except (OSError, ValueError) as error:
                 raise ValueError(f"{self.keys_file} is no file of keys: {error}") from error
         return self
 

@@ -6,16 +6,17 @@ from typing import Annotated, Literal
 
 from fastapi import Depends, Request
 
+from service.auth.api_keys import ApiKeyStore
+from service.auth.rate_limit import RateLimiter
 from service.errors import NotReadyError
-from service.keyring import Keyring
-from service.loading import Loader
-from service.metrics import Metrics
-from service.rates import Rates
-from service.registry import Registry
-from service.scheduler import Scheduler
+from service.inference.admission import Workers
+from service.inference.body_budget import BodyBudget
+from service.inference.scheduler import Scheduler
+from service.observability.metrics import Metrics
+from service.serving.loading import Loader
+from service.serving.registry import Registry
 from service.settings import Settings
 from service.siblings import Siblings
-from service.workers import Workers
 
 
 @dataclass
@@ -32,9 +33,11 @@ class State:
         What is counted of all that.
     load
         Loads models from their folder.
-    keyring
+    bodies
+        Bytes of the request bodies that are held.
+    api_keys
         The API keys; None where nobody is asked for one.
-    rates
+    rate_limiter
         How often each may ask; None where everybody may as often as they like.
     siblings
         The other processes that answer; None where there are none.
@@ -51,8 +54,9 @@ class State:
     simulation: Workers
     metrics: Metrics
     load: Loader
-    keyring: Keyring | None = None
-    rates: Rates | None = None
+    bodies: BodyBudget
+    api_keys: ApiKeyStore | None = None
+    rate_limiter: RateLimiter | None = None
     siblings: Siblings | None = None
     registry: Registry = field(default_factory=lambda: Registry([]))
     changing: asyncio.Lock = field(default_factory=asyncio.Lock)

@@ -17,9 +17,9 @@ export CONTAINERS_STORAGE_CONF
 dockerfile=$name
 if [ "$name" = ray ]; then
     dockerfile=service
-    set -- --build-arg LOCK=ray "$@"
+    set -- --build-arg EXTRA=ray "$@"
 fi
-# What the machine trusts, pip trusts inside.
+# What the machine trusts, pip and uv trust inside.
 certificates=/etc/ssl/certs/ca-certificates.crt
 # Where pip looks for torch, if that is a folder, it looks inside.
 if [ -d "${PIP_FIND_LINKS:-}" ]; then

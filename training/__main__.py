@@ -10,30 +10,32 @@ from types import ModuleType
 
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from rollcast.scene import SCENARIOS
-from training import calibration, campaign, clip_commands, real_clips
-from training.artefact import initial_networks, load_exported
-from training.clips import Clips
-from training.dissect import dissected, dissection_table
-from training.evaluate import evaluation_sets, markdown_table, metric_rows, run
-from training.export import export_run, with_covariance
-from training.familiarity import FAMILIAR_SCENES, familiarise
-from training.initial import Initial
-from training.models.fieldnet import FieldNet
-from training.models.paper import VggEncoder, load_imagenet
-from training.models.predictor import Predictor
-from training.plots import draw_training
-from training.publish import DOCS, RESULTS, publish, publish_study
-from training.quantise import NotWorthItError, quantise
+from training.cli import footage
+from training.common.settings import runs_folder
+from training.data.clip_dataset import Clips
+from training.data.shards import Source, data_folder, in_processes, make_missing, split_shards
+from training.data.splits import Split
+from training.engine.trainer import Trainer, TrainerConfig
+from training.engine.warm_start import Initial
+from training.evaluation import real_clips, world_check
+from training.evaluation.error_breakdown import dissected, dissection_table
+from training.evaluation.evaluate import evaluation_sets, markdown_table, metric_rows, run
+from training.export.export import export_run, with_covariance
+from training.export.footage import export_rig
+from training.export.load import initial_networks, load_exported
+from training.export.ood_fit import FAMILIAR_SCENES, familiarise
+from training.export.static_quantisation import NotWorthItError, quantise
+from training.networks.fieldnet import FieldNet
+from training.networks.recurrent import Predictor
+from training.networks.vgg import VggEncoder, load_imagenet
+from training.orchestration import campaign
 from training.recipes import RECIPES
-from training.report import with_results
-from training.results import committed
-from training.rig_export import export_rig
-from training.settings import runs_folder
-from training.simulate import Source, data_folder, in_processes, make_missing, split_shards
-from training.splits import Split
+from training.reporting.markdown import with_results
+from training.reporting.plots import draw_training
+from training.reporting.results import committed
 from training.studies import STUDIES
-from training.studies.rows import BUDGET, Effort
-from training.trainer import Pace, Trainer
+from training.studies.publish import DOCS, RESULTS, publish, publish_study
+from training.studies.rows import BUDGET, StudyBudget
 
 MODELS = Path("models")
 README = Path("README.md")
@@ -93,19 +95,21 @@ def _parser() -> argparse.ArgumentParser:
         help="exported models (models/NAME/VERSION) or a run's folder to start from; the first "
         "one's encoder wins",
     )
-    clip_commands.add_options(train)
+    footage.add_options(train)
     train.add_argument(
         "--imagenet",
         type=Path,
         metavar="FILE",
         help="VGG16 trained on ImageNet (torchvision's .pth or ONNX), for the paper's preset",
     )
-    train.add_argument("--validate-every", type=int, default=Pace.validate_every, metavar="BATCHES")
+    train.add_argument(
+        "--validate-every", type=int, default=TrainerConfig.validate_every, metavar="BATCHES"
+    )
     _add_ray(train, "train in several processes that share every batch")
     train.add_argument("--processes", type=int, default=2, help="how many (with --ray)")
     train.set_defaults(run=_train)
 
-    clip_commands.add(commands, _show_lines)
+    footage.add(commands, _show_lines)
 
     curve = commands.add_parser("curve", help="draw the loss and the validation errors of a run")
     curve.add_argument("recipe", choices=sorted(RECIPES))
@@ -115,9 +119,9 @@ def _parser() -> argparse.ArgumentParser:
     evaluate = commands.add_parser(
         "evaluate", parents=[processes], help="measure exported models on fixed scenes"
     )
-    subject = evaluate.add_mutually_exclusive_group(required=True)
-    subject.add_argument("model", type=Path, nargs="?", help="models/NAME/VERSION")
-    subject.add_argument(
+    case = evaluate.add_mutually_exclusive_group(required=True)
+    case.add_argument("model", type=Path, nargs="?", help="models/NAME/VERSION")
+    case.add_argument(
         "--all", action="store_true", help="every committed model, into docs/results (test split)"
     )
     evaluate.add_argument("--split", choices=("validation", "test"), default="test")
@@ -148,7 +152,7 @@ def _parser() -> argparse.ArgumentParser:
     exported.add_argument("--version", type=int, default=1)
     exported.add_argument("--models", type=Path, default=MODELS)
     exported.add_argument("--scenes", type=int, default=500, help="test scenes per scenario")
-    clip_commands.add_options(exported)
+    footage.add_options(exported)
     exported.add_argument("--name", help="of a model for clips (default: the recipe's)")
     exported.set_defaults(run=_export)
 
@@ -194,7 +198,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     studied.add_argument("study", choices=sorted(STUDIES))
     studied.add_argument("--rows", nargs="+", default=[], metavar="METHOD", help="these rows alone")
-    studied.add_argument("--scenes", type=int, default=500, help="test scenes of every subject")
+    studied.add_argument("--scenes", type=int, default=500, help="test scenes of every case")
     studied.add_argument(
         "--sequences",
         type=int,
@@ -222,11 +226,11 @@ def _add_ray(command: argparse.ArgumentParser, what: str) -> None:
 def _with_ray() -> ModuleType:
     """Import what needs Ray, which is an extra."""
     try:
-        return importlib.import_module("training.cluster")
+        return importlib.import_module("training.orchestration.ray_backend")
     except ModuleNotFoundError as error:
         raise SystemExit(
-            f"--ray needs the extra ray-training ({error}); `tools/environment.sh cluster --torch` "
-            "makes .venv/cluster, which has it"
+            f"--ray needs the extra ray-training ({error}); `tools/environment.sh test` makes "
+            ".venv/test, which has it"
         ) from error
 
 
@@ -248,16 +252,16 @@ def _simulate(arguments: argparse.Namespace) -> None:
 
 
 def _calibrate(arguments: argparse.Namespace) -> None:
-    print(calibration.report(arguments.scenes))
+    print(world_check.report(arguments.scenes))
 
 
 def _train(arguments: argparse.Namespace) -> None:
     folder = runs_folder() / arguments.recipe
     initial = [one for start in arguments.init for one in initial_networks(start)]
-    pace = Pace(arguments.validate_every, simulators=arguments.workers)
+    config = TrainerConfig(arguments.validate_every, simulators=arguments.workers)
     imagenet = arguments.imagenet and arguments.imagenet.resolve()
-    clips = clip_commands.clips_of(arguments)
-    run = partial(_run_training, arguments.recipe, folder, pace, initial, imagenet, clips)
+    clips = footage.clips_of(arguments)
+    run = partial(_run_training, arguments.recipe, folder, config, initial, imagenet, clips)
     if arguments.ray is None:
         error = run()
     else:
@@ -268,13 +272,13 @@ def _train(arguments: argparse.Namespace) -> None:
 def _run_training(
     name: str,
     folder: Path,
-    pace: Pace,
+    config: TrainerConfig,
     initial: Sequence[Initial],
     imagenet: Path | None,
     clips: Mapping[Split, Clips] | None,
 ) -> float:
     recipe = RECIPES[name]()
-    trainer = Trainer(recipe, folder, pace, initial, clips)
+    trainer = Trainer(recipe, folder, config, initial, clips)
     if imagenet is not None:
         network = next(iter(trainer.family.networks().values()))
         if not (isinstance(network, Predictor) and isinstance(network.encoder, VggEncoder)):
@@ -328,12 +332,13 @@ def _dissect(arguments: argparse.Namespace) -> None:
 
 
 def _real_clips(arguments: argparse.Namespace) -> None:
-    _show_lines(real_clips.table(arguments.model, arguments.clips, arguments.tracks))
+    _, network = load_exported(arguments.model)
+    _show_lines(real_clips.table(network, arguments.clips, arguments.tracks))
 
 
 def _export(arguments: argparse.Namespace) -> None:
     recipe, folder = RECIPES[arguments.recipe](), runs_folder() / arguments.recipe
-    clips = clip_commands.clips_of(arguments)
+    clips = footage.clips_of(arguments)
     try:
         if clips is None:
             manifests = export_run(
@@ -391,7 +396,7 @@ def _familiarise(arguments: argparse.Namespace) -> None:
 def _campaign(arguments: argparse.Namespace) -> None:
     folder = runs_folder() / "campaign"
     train = partial(
-        campaign.train, models=MODELS.resolve(), pace=Pace(simulators=arguments.workers)
+        campaign.train, models=MODELS.resolve(), config=TrainerConfig(simulators=arguments.workers)
     )
     while rounds := campaign.next_rounds(campaign.lines(), folder, MODELS, arguments.sequences):
         if arguments.ray is None:
@@ -421,9 +426,9 @@ def _finish(chosen: campaign.Round, outcome: campaign.Outcome, given: argparse.N
 def _study(arguments: argparse.Namespace) -> None:
     study = STUDIES[arguments.study]
     file = DOCS / "results" / RESULTS
-    effort = Effort(arguments.workers, arguments.sequences)
+    budget = StudyBudget(arguments.workers, arguments.sequences)
     try:
-        for done in study.run(file, arguments.scenes, effort, arguments.rows):
+        for done in study.run(file, arguments.scenes, budget, arguments.rows):
             print(done, flush=True)
             publish_study(study, DOCS)
     except ValueError as error:

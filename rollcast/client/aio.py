@@ -1,84 +1,106 @@
 """The client: its methods, the transport, and the forecast that arrives step by step."""
 
-from collections.abc import AsyncGenerator, Iterable, Mapping
+from collections.abc import AsyncGenerator, Callable, Iterable, Mapping
 from functools import partial
 from types import TracebackType
-from typing import Any, Self, TypeVar, Unpack, cast
+from typing import Any, Literal, Self, TypeVar, Unpack, cast, overload
 
 import httpx2
+import numpy as np
 
 from rollcast.client import calls
-from rollcast.client.arrivals import Arrivals
-from rollcast.client.calls import Call, ForecastOptions, failure, reaching
+from rollcast.client._async import Connections, gather_limited, to_thread, with_retries, within
+from rollcast.client.answers import MAX_ANSWER_BYTES, check_size, failure, translated
+from rollcast.client.calls import Call, ForecastOptions, Integer, SimulationOptions
+from rollcast.client.clips import Clip, is_clip, named_model, read_clip
+from rollcast.client.connection import Target, checked_timeout
+from rollcast.client.deadline import Deadline
 from rollcast.client.images import Crop, Frame, Frames
-from rollcast.client.results import Forecast, ForecastStep, Simulation
-from rollcast.client.tasks import off_the_loop, repeated, side_by_side
-from rollcast.http import AUTO_MODEL, Health, ModelDetail, ModelEntry
+from rollcast.client.results import Forecast, ForecastStep, Simulation, Surface
+from rollcast.client.stream import StreamAssembler
 from rollcast.scene import Domain, Scenario, Scene
+from rollcast.schemas import AUTO_MODEL, Health, ModelDetail, ModelEntry
 from rollcast.trajectory import OBSERVED_FRAMES
 
 T = TypeVar("T")
 
 
 class AsyncClient:
-    """The service as an object. Close it, or use it as a context manager.
+    """Client of the service. Close it, or use it as a context manager.
 
-    Every method raises ``rollcast.errors.UnreachableError`` when the service does not answer, and
-    a ``rollcast.errors.ProblemError`` that carries the problem document when it refuses.
-    Connections are kept and used again, so one client for many calls is faster than many clients.
+    Every exception of a call is a ``rollcast.errors.ClientError``, unless frames cannot be read: an
+    ``UnreachableError`` when the service does not answer, a ``ProblemError`` with the problem
+    document when it refuses, an ``UnexpectedAnswerError`` when the answer is not a valid one.
+    Connections are kept open and reused, so one client for many calls is faster than many clients.
 
     Parameters
     ----------
     base_url
-        Address of the service.
+        Address of the service; by default ``ROLLCAST_URL`` of the environment, else
+        ``http://127.0.0.1:8000``. Redirections are not followed. The environment's proxies
+        (``HTTP_PROXY``, ``HTTPS_PROXY``, ``ALL_PROXY``, ``NO_PROXY``) are used; errors name them.
     timeout_s
-        Seconds to wait for an answer, or for the next step of a stream.
+        Longest time that a call takes, seconds: connection, answer, retries and the waits between
+        them. In a stream the time between the reading of two steps does not count.
     retries
-        How often a call is sent again, after a growing wait and not before the service asks for it
-        (Retry-After): when the connection was lost, when the service is full or not ready, and when
-        what stands before it could not pass it on. Calls change nothing, so asking twice is safe.
+        Number of times that a call is sent again, after growing waits and after the Retry-After of
+        the answer: when the connection was lost, the service is overloaded or not ready, or a proxy
+        cannot reach it. A Retry-After that ends after ``timeout_s``, or is longer than a minute, is
+        not waited for: the error is raised at once, with ``retry_after_s``.
     api_key
-        Sent with every call, for services that ask for one.
+        API key, for services that ask for one; by default ``ROLLCAST_API_KEY`` of the environment,
+        and none when it is empty.
     transport
-        Sends the requests; by default over the network. ``rollcast.client.testing`` has one for
-        tests.
+        Transport of the requests; by default the network. ``rollcast.client.testing`` has one for
+        tests. Inside a single read or write, ``timeout_s`` depends on it.
+
+    Raises
+    ------
+    rollcast.errors.InvalidArgumentError
+        When an argument, or a variable of the environment, cannot be used.
     """
 
     def __init__(
         self,
-        base_url: str = "http://127.0.0.1:8000",
+        base_url: str | None = None,
         *,
         timeout_s: float = 60.0,
         retries: int = 2,
         api_key: str | None = None,
         transport: httpx2.AsyncBaseTransport | None = None,
     ) -> None:
-        headers = {} if api_key is None else {"Authorization": f"Bearer {api_key}"}
-        self._http = httpx2.AsyncClient(
-            base_url=base_url, timeout=timeout_s, headers=headers, transport=transport
-        )
+        self._target = Target.resolve(base_url, api_key, over_network=transport is None)
+        self._timeout_s = checked_timeout(timeout_s)
+        self._connections = Connections(self._target, transport)
         self._retries = retries
+
+    @property
+    def base_url(self) -> str:
+        """Address of the service."""
+        return str(self._target.base_url)
 
     async def predict(
         self,
-        frames: Frames,
+        frames: Frames | Clip,
         *,
-        horizon: int | None = None,
+        horizon: Integer | None = None,
         model: str = AUTO_MODEL,
         final_frame: Frame | None = None,
-        final_step: int | None = None,
-        objects: int | None = None,
+        final_step: Integer | None = None,
+        objects: Integer | None = None,
         scenario: Domain | None = None,
         frame_rate: float | None = None,
         crop: Crop | None = None,
+        start_s: float | None = None,
     ) -> Forecast:
-        """Forecast where the balls go.
+        """Forecast the paths of the balls.
 
         Parameters
         ----------
         frames
-            The four observed frames in order: RGB uint8 arrays [height, width, 3], Pillow images or
-            paths; square, or cropped.
+            The four observed frames in order, each a ``Frame``; square, or cropped. Or the path of
+            a video, of which the four frames from ``start_s`` on are read at the model's frame rate
+            (extra ``video``).
         horizon
             Steps; by default 40, with a final frame as many as its model is made for.
         model
@@ -91,10 +113,22 @@ class AsyncClient:
             Narrows the choice of "auto" to models made for it, or for "footage" of a set-up of
             one's own.
         frame_rate
-            Frames a second; by default as many as the model was trained on.
+            Frames a second; by default the rate that the model was trained on.
         crop
             "square" cuts the largest square out of the middle of every frame; positions are then
-            pixels of that square.
+            pixels of that square. Videos are always cropped, to the square of the set-up that the
+            named model was trained on, if it has one.
+        start_s
+            Time of the first frame in the video, seconds; by default 0.
+
+        Raises
+        ------
+        rollcast.errors.ClientError
+            When the call fails.
+        rollcast.errors.FootageError, rollcast.errors.MissingExtraError
+            When a video cannot be read.
+        TypeError, ValueError, OSError
+            When a frame cannot be converted or read.
         """
         options = ForecastOptions(
             horizon=horizon,
@@ -104,12 +138,13 @@ class AsyncClient:
             scenario=scenario,
             frame_rate=frame_rate,
             crop=crop,
+            start_s=start_s,
         )
-        return await self._run(await off_the_loop(calls.predict, frames, final_frame, options))
+        return await self._run(await self._forecast(calls.predict, frames, final_frame, options))
 
     def predict_stream(
         self,
-        frames: Frames,
+        frames: Frames | Clip,
         *,
         final_frame: Frame | None = None,
         **options: Unpack[ForecastOptions],
@@ -117,7 +152,7 @@ class AsyncClient:
         """Forecast as ``predict`` does, and get every step as soon as it is computed.
 
         Nothing is sent before the first step is asked for, or the context entered. A call is sent
-        again (``retries``) until its first step is there, and not after it.
+        again (``retries``) until its first step has arrived, and not after it.
 
         Parameters
         ----------
@@ -128,25 +163,25 @@ class AsyncClient:
 
     async def predict_many(
         self,
-        sequences: Iterable[Frames],
+        sequences: Iterable[Frames | Clip],
         *,
         final_frames: Iterable[Frame] | None = None,
         concurrency: int = 4,
         **options: Unpack[ForecastOptions],
     ) -> list[Forecast]:
-        """Forecast many sequences, some at once, and return the forecasts in their order.
+        """Forecast many sequences, several at once, and return the forecasts in order.
 
-        The first that fails ends them all, and its exception is raised.
+        The first failure ends all calls and is raised.
 
         Parameters
         ----------
         sequences
             Observed frames, as for ``predict``.
         final_frames
-            One for each of them.
+            A final frame for each of them.
         concurrency
-            How many calls are made at once, at least one. More than the service has cores and
-            places in its queue are told to come again.
+            Number of calls at once, at least one. The service answers 429 to more calls than it has
+            cores and places in its queue.
         options
             As for ``predict``, the same for all.
 
@@ -154,12 +189,14 @@ class AsyncClient:
         ------
         ValueError
             When ``concurrency`` is less than one or a sequence lacks its final frame.
+        rollcast.errors.ClientError
+            When a call fails.
         """
         if concurrency < 1:
             raise ValueError(f"concurrency is {concurrency}, expected at least 1")
         sequences = list(sequences)
         finals = [None] * len(sequences) if final_frames is None else list(final_frames)
-        return await side_by_side(
+        return await gather_limited(
             [
                 partial(self.predict, frames, final_frame=final, **options)
                 for frames, final in zip(sequences, finals, strict=True)
@@ -167,15 +204,45 @@ class AsyncClient:
             concurrency,
         )
 
+    @overload
     async def simulate(
         self,
         scenario: Scenario | None = None,
         *,
-        seed: int | None = None,
-        objects: int | None = None,
-        steps: int = OBSERVED_FRAMES + 40,
-        start_step: int | None = None,
-        image_size: int = 128,
+        include_frames: Literal[True] = True,
+        include_surface: Literal[False] = False,
+        **options: Unpack[SimulationOptions],
+    ) -> Simulation[np.ndarray, None]: ...
+
+    @overload
+    async def simulate(
+        self,
+        scenario: Scenario | None = None,
+        *,
+        include_frames: Literal[True] = True,
+        include_surface: Literal[True],
+        **options: Unpack[SimulationOptions],
+    ) -> Simulation[np.ndarray, Surface]: ...
+
+    @overload
+    async def simulate(
+        self,
+        scenario: Scenario | None = None,
+        *,
+        include_frames: bool = True,
+        include_surface: bool = False,
+        **options: Unpack[SimulationOptions],
+    ) -> Simulation: ...
+
+    async def simulate(
+        self,
+        scenario: Scenario | None = None,
+        *,
+        seed: Integer | None = None,
+        objects: Integer | None = None,
+        steps: Integer = OBSERVED_FRAMES + 40,
+        start_step: Integer | None = None,
+        image_size: Integer = 128,
         textured: bool | None = None,
         include_frames: bool = True,
         include_surface: bool = False,
@@ -204,33 +271,38 @@ class AsyncClient:
         scene
             A scene that came back, or any of the fields of ``rollcast.scene.Scene``; the others are
             sampled.
+
+        Raises
+        ------
+        rollcast.errors.ClientError
+            When the call fails.
         """
-        fields = {
-            "objects": objects,
-            "steps": steps,
-            "start_step": start_step,
-            "image_size": image_size,
-            "textured": textured,
-            "include_frames": include_frames,
-            "include_surface": include_surface or None,  # older services do not know it
-        }
-        return await self._run(calls.simulate(scenario, seed, scene, fields))
+        options = SimulationOptions(
+            seed=seed,
+            objects=objects,
+            steps=steps,
+            start_step=start_step,
+            image_size=image_size,
+            textured=textured,
+            scene=scene,
+        )
+        return await self._run(calls.simulate(scenario, include_frames, include_surface, options))
 
     async def models(self) -> list[ModelEntry]:
-        """List every version of every model, refused ones with the reason."""
+        """List every version of every model, those that cannot be used with the reason."""
         return await self._run(calls.models())
 
-    async def model(self, name: str, version: int | None = None) -> ModelDetail:
+    async def model(self, name: str, version: Integer | None = None) -> ModelDetail:
         """Return one version of a model, by default the default one, with its card."""
         return await self._run(calls.model(name, version))
 
     async def health(self) -> Health:
-        """Return whether forecasts are answered, and why not."""
+        """Return whether the service answers forecasts, and why not."""
         return await self._run(calls.health())
 
     async def close(self) -> None:
-        """Close the connections."""
-        await self._http.aclose()
+        """Close the connections. A call after that opens new ones."""
+        await self._connections.close()
 
     async def __aenter__(self) -> Self:
         return self
@@ -243,52 +315,103 @@ class AsyncClient:
     ) -> None:
         await self.close()
 
-    async def _run(self, call: Call[T]) -> T:
-        return await repeated(partial(self._ask, call, call.request(self._http)), self._retries)
+    async def _forecast(
+        self,
+        make: Callable[..., Call[Forecast]],
+        frames: Frames | Clip,
+        final_frame: Frame | None,
+        options: ForecastOptions,
+    ) -> Call[Forecast]:
+        """Return the call for frames, or for those of a video."""
+        if not is_clip(frames):
+            return await to_thread(make, frames, final_frame, options)
+        name = named_model(options)
+        known = None if name is None else await self.model(*name)
+        seen, rest, warnings = await to_thread(read_clip, frames, options, known)
+        return await to_thread(make, seen, final_frame, rest, warnings)
 
-    async def _ask(self, call: Call[T], request: httpx2.Request) -> T:
-        with reaching(request):
-            response = await self._http.send(request)
-        return await off_the_loop(call.result, response)
+    async def _run(self, call: Call[T]) -> T:
+        http, deadline = self._connections.client(), Deadline(self._timeout_s)
+        request = call.request(http, deadline)
+        with translated(request, self._target.proxy):
+            async with within(deadline):
+                ask = partial(self._ask, call, http, request, deadline)
+                return await with_retries(ask, self._retries, deadline)
+
+    async def _ask(
+        self,
+        call: Call[T],
+        http: httpx2.AsyncClient,
+        request: httpx2.Request,
+        deadline: Deadline,
+    ) -> T:
+        with translated(request, self._target.proxy):
+            response = await http.send(request, stream=True)
+            try:
+                content = await self._content(response, call.max_bytes, deadline)
+            finally:
+                await response.aclose()
+        return await to_thread(call.result, response, content)
+
+    async def _content(
+        self, response: httpx2.Response, limit: int, deadline: Deadline
+    ) -> bytearray:
+        content = bytearray()
+        check_size(response, 0, limit)
+        async for chunk in response.aiter_bytes():
+            content += chunk
+            check_size(response, len(content), limit)
+            deadline.check()
+        return content
 
     async def _begin(
-        self, frames: Frames, final_frame: Frame | None, options: ForecastOptions
+        self, frames: Frames | Clip, final_frame: Frame | None, options: ForecastOptions
     ) -> "_Opened":
-        call = await off_the_loop(calls.predict_stream, frames, final_frame, options)
-        return await repeated(partial(self._open, call.request(self._http)), self._retries)
+        call = await self._forecast(calls.predict_stream, frames, final_frame, options)
+        http, deadline = self._connections.client(), Deadline(self._timeout_s)
+        request = call.request(http, deadline)
+        with translated(request, self._target.proxy):
+            async with within(deadline):
+                begin = partial(self._open, call, http, request, deadline)
+                return await with_retries(begin, self._retries, deadline)
 
-    async def _open(self, request: httpx2.Request) -> "_Opened":
-        """Send a request and wait until the first step of its answer is there."""
-        with reaching(request):
-            response = await self._http.send(request, stream=True)
-        try:
-            if response.status_code != 200:
-                with reaching(request):
-                    await response.aread()
-                raise failure(response)
-            opened = _Opened(response)
-        except BaseException:
-            await response.aclose()
-            raise
-        try:
-            await opened.look_ahead()
-        except BaseException:
-            await opened.close()
-            raise
-        return opened
+    async def _open(
+        self,
+        call: Call[Forecast],
+        http: httpx2.AsyncClient,
+        request: httpx2.Request,
+        deadline: Deadline,
+    ) -> "_Opened":
+        """Send a request and wait until the first step of its answer has arrived."""
+        with translated(request, self._target.proxy):
+            response = await http.send(request, stream=True)
+            try:
+                if response.status_code != 200:
+                    content = await self._content(response, MAX_ANSWER_BYTES, deadline)
+                    raise failure(response, content)
+                opened = _Opened(response, call, deadline, self._target)
+            except BaseException:
+                await response.aclose()
+                raise
+            try:
+                await opened.look_ahead()
+            except BaseException:
+                await opened.close()
+                raise
+            return opened
 
 
 class AsyncForecastStream:
     """A forecast whose steps are iterated over as they arrive, from step 0, t = 0, on.
 
-    Leaving its context closes the connection, and the service stops computing what is not there
-    yet. Without a context, read it to its end or close it.
+    Leaving its context closes the connection, and the service stops computing the remaining steps.
+    Without a context, read it to its end or close it.
     """
 
     def __init__(
         self,
         client: AsyncClient,
-        frames: Frames,
+        frames: Frames | Clip,
         final_frame: Frame | None,
         options: ForecastOptions,
     ) -> None:
@@ -311,7 +434,7 @@ class AsyncForecastStream:
             When it has not been read to its end.
         """
         if self._opened is None or (forecast := self._opened.forecast) is None:
-            raise RuntimeError("the forecast is there after its last step has been read")
+            raise RuntimeError("the forecast is complete after its last step has been read")
         return forecast
 
     async def close(self) -> None:
@@ -355,9 +478,15 @@ class AsyncForecastStream:
 class _Opened:
     """A stream that has begun to answer."""
 
-    def __init__(self, response: httpx2.Response) -> None:
-        self._response = response
-        self._arrivals = Arrivals(response)
+    def __init__(
+        self,
+        response: httpx2.Response,
+        call: Call[Forecast],
+        deadline: Deadline,
+        target: Target,
+    ) -> None:
+        self._response, self._deadline, self._target = response, deadline, target
+        self._assembler = StreamAssembler(response, call)
         self._events = cast(
             AsyncGenerator[httpx2.ServerSentEvent], aiter(httpx2.EventSource(response))
         )
@@ -365,28 +494,33 @@ class _Opened:
 
     @property
     def forecast(self) -> Forecast | None:
-        return self._arrivals.forecast
+        return self._assembler.forecast
 
     async def look_ahead(self) -> None:
         """Wait for the first step, which is returned as the next one."""
-        self._ahead = await self.next_step()
+        self._ahead = await self._arrived()
 
     async def next_step(self) -> ForecastStep | None:
         """Return the next step, None after the last."""
         if self._ahead is not None:
             step, self._ahead = self._ahead, None
             return step
-        if self.forecast is not None:
-            return None
-        with reaching(self._response.request):
-            async for event in self._events:
-                step = self._arrivals.take(event)
-                if step is not None:
-                    return step
-                if self.forecast is not None:
-                    return None
-        raise self._arrivals.broken_off()
+        with translated(self._response.request, self._target.proxy):
+            async with within(self._deadline):
+                return await self._arrived()
 
     async def close(self) -> None:
         await self._events.aclose()
         await self._response.aclose()
+
+    async def _arrived(self) -> ForecastStep | None:
+        if self.forecast is not None:
+            return None
+        async for event in self._events:
+            self._deadline.check()
+            step = self._assembler.take(event)
+            if step is not None:
+                return step
+            if self.forecast is not None:
+                return None
+        raise self._assembler.ended()

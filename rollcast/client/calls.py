@@ -3,65 +3,82 @@
 Nothing here sends anything, so a client is a transport and one line a method.
 """
 
+import json
+import operator
 import uuid
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any, Generic, TypedDict, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Generic, SupportsIndex, TypeAlias, TypedDict, TypeVar, cast
 from urllib.parse import quote
 
 import httpx2
-from pydantic import ValidationError
+import numpy as np
 
+from rollcast.client.answers import MAX_ANSWER_BYTES, MAX_SIMULATION_BYTES, failure, unexpected
 from rollcast.client.images import Crop, Frame, Frames, encoded
 from rollcast.client.results import Forecast, Simulation
-from rollcast.errors import (
-    BusyError,
-    ClientError,
-    DeniedError,
-    ProblemError,
-    RefusedError,
-    ServiceFailedError,
-    UnexpectedAnswerError,
-    UnreachableError,
-)
-from rollcast.http import (
+from rollcast.client.shapes import require
+from rollcast.errors import InvalidArgumentError
+from rollcast.scene import Domain, Scenario, Scene
+from rollcast.schemas import (
+    MAX_HORIZON,
     REQUEST_ID_HEADER,
     Health,
     ModelDetail,
     ModelEntry,
     ModelList,
     PredictResponse,
-    Problem,
     SimulateResponse,
 )
-from rollcast.scene import Domain, Scenario, Scene
 
 T = TypeVar("T")
 
 Part = tuple[str, tuple[str, bytes]]
+Integer: TypeAlias = int | np.integer[Any]
+"""A whole number of Python's or of NumPy's."""
 
 
 class ForecastOptions(TypedDict, total=False):
-    """What may be said of a forecast besides its frames; what is left out is the service's choice.
+    """Options of a forecast besides its frames; the service chooses those that are left out.
 
     These are the keyword arguments of ``Client.predict``, which describes them.
     """
 
-    horizon: int | None
+    horizon: Integer | None
     """Steps."""
     model: str
-    """A NAME, NAME@VERSION or "auto"."""
-    final_step: int | None
+    """Name: NAME, NAME@VERSION or "auto"."""
+    final_step: Integer | None
     """Step that the final frame shows."""
-    objects: int | None
+    objects: Integer | None
     """Number of balls."""
     scenario: Domain | None
-    """Narrows the choice of "auto"."""
+    """Domain that narrows the choice of "auto"."""
     frame_rate: float | None
     """Frames a second."""
     crop: Crop | None
-    """"square" cuts the largest square out of the middle of every frame."""
+    """Crop of every frame: "square" cuts the largest square out of the middle."""
+    start_s: float | None
+    """Time of the first frame in a clip, seconds."""
+
+
+class SimulationOptions(TypedDict, total=False):
+    """Options of a simulation: keyword arguments of ``Client.simulate``, which describes them."""
+
+    seed: Integer | None
+    """Seed that names the scene."""
+    objects: Integer | None
+    """Number of balls."""
+    steps: Integer
+    """Frames, 40 a second."""
+    start_step: Integer | None
+    """First step, counted from the start of the simulation."""
+    image_size: Integer
+    """Side of the frames, pixels."""
+    textured: bool | None
+    """Texture on the ball."""
+    scene: Scene | Mapping[str, Any] | None
+    """Scene, or fields of one."""
 
 
 @dataclass(frozen=True)
@@ -70,25 +87,49 @@ class Call(Generic[T]):
 
     method: str
     path: str
-    read: Callable[[bytes], T]
+    read: Callable[[bytes | bytearray], T]
+    """Reader of the body; whatever it raises is the fault of the answer."""
     json: Mapping[str, Any] | None = None
     fields: Mapping[str, str] | None = None
     files: Sequence[Part] | None = None
     answers: tuple[int, ...] = (200,)
     """Statuses whose body ``read`` understands."""
+    max_bytes: int = MAX_ANSWER_BYTES
+    """Largest answer that is read."""
+    horizon: int | None = None
+    """Number of steps that a forecast was asked for."""
+    objects: int | None = None
+    """Number of balls that a forecast was asked for."""
+    warnings: tuple[str, ...] = ()
+    """Reasons to trust a forecast less that the client knows."""
 
-    def request(self, client: httpx2.Client | httpx2.AsyncClient) -> httpx2.Request:
-        """Return the request for a client's base address."""
-        return client.build_request(
-            self.method,
-            self.path,
-            json=self.json,
-            data=self.fields,
-            files=self.files,
-            headers={REQUEST_ID_HEADER: uuid.uuid4().hex},  # the same when it is sent again
-        )
+    def request(self, client: httpx2.Client | httpx2.AsyncClient, timeout: float) -> httpx2.Request:
+        """Return the request for a client's base address.
 
-    def result(self, response: httpx2.Response) -> T:
+        Raises
+        ------
+        InvalidArgumentError
+            When an argument cannot be written into a request.
+        """
+        headers = {REQUEST_ID_HEADER: uuid.uuid4().hex}  # the same when it is sent again
+        content = None
+        try:
+            if self.json is not None:
+                headers["Content-Type"] = "application/json"
+                content = json.dumps(self.json, default=_plain, allow_nan=False).encode()
+            return client.build_request(
+                self.method,
+                self.path,
+                content=content,
+                data=self.fields,
+                files=self.files,
+                headers=headers,
+                timeout=timeout,
+            )
+        except (TypeError, ValueError, RecursionError, httpx2.InvalidURL) as error:
+            raise InvalidArgumentError(f"{self.path} cannot be asked: {error}") from error
+
+    def result(self, response: httpx2.Response, content: bytes | bytearray) -> T:
         """Read the answer.
 
         Raises
@@ -99,113 +140,123 @@ class Call(Generic[T]):
             When it is not an answer of this API.
         """
         if response.status_code not in self.answers:
-            raise failure(response)
+            raise failure(response, content)
         try:
-            return self.read(response.content)
-        except ValidationError as error:
-            raise unexpected(response) from error
+            return self.read(content)
+        except Exception as error:  # decoders of images raise nearly anything
+            raise unexpected(response, error) from error
+
+    def expect_at_most(self, steps: int) -> None:
+        """Raise ValueError when a forecast has more steps than were asked for."""
+        most = self.horizon or MAX_HORIZON
+        require(steps <= most, f"the forecast has more than {most} steps")
+
+    def finish(self, forecast: Forecast) -> Forecast:
+        """Return a forecast as the call's result.
+
+        Raises
+        ------
+        ValueError
+            When it has other numbers of steps or balls than were asked for.
+        """
+        objects, steps = forecast.positions.shape[:2]
+        for name, found, asked in (
+            ("steps", steps, self.horizon),
+            ("objects", objects, self.objects),
+        ):
+            require(asked in (None, found), f"there are {found} {name} instead of {asked}")
+        return replace(forecast, warnings=(*self.warnings, *forecast.warnings))
 
 
-def failure(response: httpx2.Response) -> ClientError:
-    """Return the exception for an answer that is none; its body has been read."""
-    try:
-        told = problem_error(Problem.model_validate_json(response.content))
-    except ValidationError as error:
-        told = unexpected(response)
-        told.__cause__ = error
-    told.retry_after_s = _retry_after_s(response)
-    return told
-
-
-def unexpected(response: httpx2.Response) -> UnexpectedAnswerError:
-    """Return the exception for a body that is not one of this API's."""
-    return UnexpectedAnswerError(
-        f"{response.url} answered {response.status_code} with a body that is not this API's",
-        response.status_code,
-    )
-
-
-@contextmanager
-def reaching(request: httpx2.Request) -> Generator[None]:
-    """Translate what goes wrong on the way to the service and back.
-
-    Raises
-    ------
-    UnreachableError
-        When no answer came, or not all of one.
-    """
-    try:
-        yield
-    except httpx2.TransportError as error:
-        raise UnreachableError(f"{request.url} does not answer: {error!r}") from error
-
-
-def problem_error(problem: Problem) -> ProblemError:
-    """Return the exception for a problem document."""
-    if problem.status in {401, 403}:
-        return DeniedError(problem)
-    if problem.status == 429:
-        return BusyError(problem)
-    return ServiceFailedError(problem) if problem.status >= 500 else RefusedError(problem)
-
-
-def _retry_after_s(response: httpx2.Response) -> float:
-    """Read the header Retry-After; a date, which this service never sends, counts as nothing."""
-    text = response.headers.get("retry-after", "")
-    return float(text) if text.isascii() and text.isdecimal() else 0.0
-
-
-def predict(frames: Frames, final_frame: Frame | None, options: ForecastOptions) -> Call[Forecast]:
-    """Send frames as file parts; what is not said is left to the service."""
-    return _forecast_call(
-        "/predict",
-        lambda body: Forecast.from_response(PredictResponse.model_validate_json(body)),
-        frames,
-        final_frame,
-        options,
-    )
+def predict(
+    frames: Frames,
+    final_frame: Frame | None,
+    options: ForecastOptions,
+    warnings: tuple[str, ...] = (),
+) -> Call[Forecast]:
+    """Send frames as file parts; options that are None are left to the service."""
+    return _forecast_call("/predict", frames, final_frame, options, warnings)
 
 
 def predict_stream(
-    frames: Frames, final_frame: Frame | None, options: ForecastOptions
-) -> Call[None]:
-    """Ask as ``predict`` does; the answer is a stream of events (``rollcast.client.arrivals``)."""
-    return _forecast_call("/predict/stream", lambda _: None, frames, final_frame, options)
+    frames: Frames,
+    final_frame: Frame | None,
+    options: ForecastOptions,
+    warnings: tuple[str, ...] = (),
+) -> Call[Forecast]:
+    """Ask as ``predict`` does; the answer is a stream of events (``rollcast.client.stream``)."""
+    return _forecast_call("/predict/stream", frames, final_frame, options, warnings)
 
 
 def _forecast_call(
     path: str,
-    read: Callable[[bytes], T],
     frames: Frames,
     final_frame: Frame | None,
     options: ForecastOptions,
-) -> Call[T]:
+    warnings: tuple[str, ...],
+) -> Call[Forecast]:
     crop = options.get("crop")
+    if options.get("start_s") is not None:
+        raise InvalidArgumentError("start_s is for a clip, given as the path of a video")
+    horizon, objects = _whole("horizon", options), _whole("objects", options)
+    rate = options.get("frame_rate")
+    fields = {
+        "model": options.get("model"),
+        "horizon": horizon,
+        "final_step": _whole("final_step", options),
+        "objects": objects,
+        "scenario": options.get("scenario"),
+        "frame_rate": None if rate is None else _number("frame_rate", rate),
+    }
     files: list[Part] = [
         ("frames", (f"frame{index}", encoded(frame, crop))) for index, frame in enumerate(frames)
     ]
     if final_frame is not None:
         files.append(("final_frame", ("final_frame", encoded(final_frame, crop))))
-    fields = {
-        name: str(value) for name, value in options.items() if name != "crop" and value is not None
-    }
-    return Call("POST", path, read, fields=fields, files=files)
+    call = Call(
+        "POST",
+        path,
+        lambda body: call.finish(Forecast.from_response(PredictResponse.model_validate_json(body))),
+        fields={name: str(value) for name, value in fields.items() if value is not None},
+        files=files,
+        horizon=horizon,
+        objects=objects,
+        warnings=warnings,
+    )
+    return call
 
 
 def simulate(
     scenario: Scenario | None,
-    seed: int | None,
-    scene: Scene | Mapping[str, Any] | None,
-    fields: Mapping[str, object],
+    include_frames: bool,
+    include_surface: bool,
+    options: SimulationOptions,
 ) -> Call[Simulation]:
-    """Ask for a scene; what is None is left to the service."""
-    parameters = scene.model_dump(mode="json") if isinstance(scene, Scene) else scene
-    body = {"scenario": scenario, "seed": seed, "scene": parameters, **fields}
+    """Ask for a scene; options that are None are left to the service."""
+    scene = options.get("scene")
+    numbers = ("seed", "objects", "steps", "start_step", "image_size")
+    body: dict[str, Any] = {
+        "scenario": scenario,
+        **{name: _whole(name, options) for name in numbers},
+        "textured": options.get("textured"),
+        "scene": scene.model_dump(mode="json") if isinstance(scene, Scene) else scene,
+        "include_frames": include_frames,
+        "include_surface": include_surface or None,  # older services do not know it
+    }
+
+    def read(content: bytes | bytearray) -> Simulation:
+        found = Simulation.from_response(SimulateResponse.model_validate_json(content))
+        require(len(found.times_s) == body["steps"], f"there are {len(found.times_s)} steps")
+        require(found.frames is not None or not include_frames, "there are no frames")
+        require(found.surface is not None or not include_surface, "there is no surface")
+        return found
+
     return Call(
         "POST",
         "/simulate",
-        lambda body: Simulation.from_response(SimulateResponse.model_validate_json(body)),
+        read,
         json={name: value for name, value in body.items() if value is not None},
+        max_bytes=MAX_SIMULATION_BYTES,
     )
 
 
@@ -214,14 +265,41 @@ def models() -> Call[list[ModelEntry]]:
     return Call("GET", "/models", lambda body: ModelList.model_validate_json(body).models)
 
 
-def model(name: str, version: int | None) -> Call[ModelDetail]:
+def model(name: str, version: Integer | None) -> Call[ModelDetail]:
     """Return one version of a model, by default the default one, with its card."""
-    path = f"/models/{quote(name, safe='')}"
+    try:
+        path = f"/models/{quote(name, safe='')}"
+    except (TypeError, ValueError) as error:
+        raise InvalidArgumentError(f"name is {name!r}, expected that of a model") from error
     if version is not None:
-        path += f"/versions/{version}"
+        path += f"/versions/{_whole('version', {'version': version})}"
     return Call("GET", path, ModelDetail.model_validate_json)
 
 
 def health() -> Call[Health]:
     """Ask whether forecasts are answered."""
     return Call("GET", "/health/ready", Health.model_validate_json, answers=(200, 503))
+
+
+def _whole(name: str, options: Mapping[str, Any]) -> int | None:
+    value: SupportsIndex | None = options.get(name)
+    if value is None:
+        return None
+    try:
+        return operator.index(value)
+    except TypeError as error:
+        raise InvalidArgumentError(f"{name} is {value!r}, expected a whole number") from error
+
+
+def _number(name: str, value: object) -> float:
+    try:
+        return float(value)  # pyright: ignore[reportArgumentType] - that is the question
+    except (TypeError, ValueError) as error:
+        raise InvalidArgumentError(f"{name} is {value!r}, expected a number") from error
+
+
+def _plain(value: object) -> object:
+    """Return what NumPy's numbers and arrays are in JSON."""
+    if isinstance(value, np.ndarray | np.generic):
+        return np.asarray(cast("Any", value)).tolist()
+    raise TypeError(f"{type(value).__name__} has no place in JSON")

@@ -11,7 +11,9 @@ from PIL import Image, ImageDraw
 from pydantic import BaseModel, ValidationError
 
 from rollcast.camera import camera_for
-from rollcast.http import (
+from rollcast.manifest import GAUSSIAN_HALF_RADIUS
+from rollcast.scene import COLORS, SCENARIOS, Scene
+from rollcast.schemas import (
     DEFAULT_HORIZON,
     ForecastObject,
     ModelDetail,
@@ -29,8 +31,6 @@ from rollcast.http import (
     StreamStep,
     SurfaceGrid,
 )
-from rollcast.manifest import GAUSSIAN_HALF_RADIUS
-from rollcast.scene import COLORS, SCENARIOS, Scene
 from rollcast.surfaces import surface_of
 from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ, OBSERVED_FRAMES
 
@@ -42,8 +42,6 @@ BELOW = np.array([0.0, 0.2])
 VELOCITY = np.array([0.01, 0.004])
 """Of the first ball at index 0, from each ball to the next and a step: shares of the frame."""
 RADIUS = 0.05
-FOURTH_COLOR = "#f0e442"
-"""Of a fourth ball, which only footage has."""
 SURFACE_POINTS = 9
 TURNING_RAD_S = (0.0, 1.0, 0.0)
 
@@ -117,7 +115,7 @@ def forecast(
         objects=[
             ForecastObject(
                 id=ball,
-                color=(*COLORS, FOURTH_COLOR)[ball],
+                color=COLORS[ball],
                 positions=path[:horizon].tolist(),
                 covariances=[covariance] * horizon,
                 covariance_source="predicted",
@@ -302,6 +300,8 @@ def _scene(wish: SimulateRequest) -> Scene:
             "noise_offset_m": (0.0, 0.0),
             "light_position_m": (1.0, 1.0, 2.0),
         }
+    elif wish.scenario == "table":
+        shape = {"slope": (0.0, 0.0), "walls_m": (-1.2, -1.2, 1.2, 1.2)}
     sampled: dict[str, Any] = {
         "scenario": wish.scenario,
         "seed": wish.seed,

@@ -1,26 +1,70 @@
-"""Results drawn over the frames that a user has."""
+"""Results drawn over a user's frames."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
 from rollcast.client.images import Crop, Frames, pixels
-from rollcast.plot import draw_forecast, draw_truth
+from rollcast.plot import draw_forecast, draw_moment, draw_truth
 
 if TYPE_CHECKING:
     from rollcast.client.results import Forecast, Simulation
 
+PANELS = 6
+"""Number of later frames that a picture shows, at most."""
+BACKGROUND = 40
+"""Grey of a background without a frame."""
+
 
 def forecast(
     forecast: "Forecast",
-    frames: Frames,
+    frames: Frames | None,
     times_s: Sequence[float] | None,
     crop: Crop | None,
-    panels: int,
+    panels: int = PANELS,
 ) -> Image.Image:
     """Draw a forecast as ``Forecast.plot`` describes."""
+    frames, times_s = _timed(forecast, frames, times_s)
+    end_s = forecast.times_s[-1] + 0.5 / forecast.frame_rate
+    shown = _spread(sum(time_s <= end_s for time_s in times_s), panels)
+    drawn = [_fitting(forecast, frames, index, crop) for index in shown]
+    return draw_forecast(np.stack(drawn), np.array(times_s)[shown], forecast)
+
+
+def film(
+    forecast: "Forecast",
+    frames: Frames | None,
+    times_s: Sequence[float] | None,
+    crop: Crop | None,
+) -> Iterator[Image.Image]:
+    """Draw every step of a forecast over the latest frame that is not after it."""
+    frames, times_s = _timed(forecast, frames, times_s)
+    half_a_step_s = 0.5 / forecast.frame_rate
+    latest, frame = 0, _fitting(forecast, frames, 0, crop)
+    for time_s in forecast.times_s.tolist():
+        index = sum(taken_s <= time_s + half_a_step_s for taken_s in times_s) - 1
+        if index > latest:
+            latest, frame = index, _fitting(forecast, frames, index, crop)
+        yield draw_moment(frame, time_s, forecast, f"+{time_s:.2f} s")
+
+
+def simulation(simulation: "Simulation", panels: int) -> Image.Image:
+    """Draw a true path as ``Simulation.plot`` describes."""
+    if simulation.frames is None:
+        raise ValueError("the simulation has no frames: include_frames was False")
+    shown = _spread(len(simulation.times_s), panels)
+    return draw_truth(simulation.frames[shown], simulation.times_s[shown], simulation)
+
+
+def _timed(
+    forecast: "Forecast", frames: Frames | None, times_s: Sequence[float] | None
+) -> tuple[Frames, Sequence[float]]:
+    """Return frames, by default a dark one, and when each of them was taken."""
+    if frames is None:
+        width, height = forecast.frame_size
+        frames = np.full((1, height, width, 3), BACKGROUND, np.uint8)
     if times_s is None:
         times_s = [index / forecast.frame_rate for index in range(len(frames))]
     if len(times_s) != len(frames) or [0, *sorted(times_s)[1:]] != list(times_s):
@@ -28,28 +72,22 @@ def forecast(
             f"{len(frames)} frames at {list(times_s)} s, expected as many times, ascending from 0: "
             "the last observed frame"
         )
-    end_s = forecast.times_s[-1] + 0.5 / forecast.frame_rate
-    shown = _spread(sum(time_s <= end_s for time_s in times_s), panels)
-    pictures = [pixels(frames[index], crop) for index in shown]
-    for picture in pictures:
-        height, width = picture.shape[:2]
-        if (width, height) != tuple(forecast.frame_size):
-            raise ValueError(
-                f"a frame is {width} x {height}, the forecast is of frames of "
-                f"{forecast.frame_size[0]} x {forecast.frame_size[1]}"
-            )
-    return draw_forecast(np.stack(pictures), np.array(times_s)[shown], forecast)
+    return frames, times_s
 
 
-def simulation(simulation: "Simulation", panels: int) -> Image.Image:
-    """Draw a true path as ``Simulation.plot`` describes."""
-    if simulation.frames is None:
-        raise ValueError("the simulation has no frames: it was asked for without them")
-    shown = _spread(len(simulation.times_s), panels)
-    return draw_truth(simulation.frames[shown], simulation.times_s[shown], simulation)
+def _fitting(forecast: "Forecast", frames: Frames, index: int, crop: Crop | None) -> np.ndarray:
+    """Return the pixels of a frame of the forecast's size."""
+    picture = pixels(frames[index], crop)
+    height, width = picture.shape[:2]
+    if (width, height) != tuple(forecast.frame_size):
+        raise ValueError(
+            f"a frame is {width} x {height}, the forecast is of frames of "
+            f"{forecast.frame_size[0]} x {forecast.frame_size[1]}"
+        )
+    return picture
 
 
 def _spread(frames: int, panels: int) -> list[int]:
-    """Return the first frame and at most so many later ones, evenly spread up to the last."""
+    """Return the first frame and at most ``panels`` later ones, evenly spread up to the last."""
     wanted = np.linspace(0, frames - 1, min(frames, 1 + panels)).tolist()
     return sorted({round(index) for index in wanted})

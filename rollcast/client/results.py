@@ -7,15 +7,19 @@ top-left corner of the top-left pixel. Angular velocities are rad/s about the wo
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Self
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, Literal, Self
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64
 from PIL import Image
 
-from rollcast.client import pictures, tables
+from rollcast.client import files, pictures, tables
 from rollcast.client.images import Crop, Frames, decoded
-from rollcast.http import (
+from rollcast.client.shapes import checked, checked_times, require
+from rollcast.scene import Color, Scene
+from rollcast.schemas import (
+    MAX_IMAGE_SIZE,
     ForecastObject,
     ModelReference,
     PredictResponse,
@@ -23,11 +27,20 @@ from rollcast.http import (
     SimulateResponse,
     StreamDone,
     StreamStep,
+    SurfaceGrid,
 )
-from rollcast.scene import Color, Scene
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+    from typing_extensions import TypeVar
+
+    FramesT = TypeVar("FramesT", bound=np.ndarray | None, default=np.ndarray | None, covariant=True)
+    SurfaceT = TypeVar("SurfaceT", bound="Surface | None", default="Surface | None", covariant=True)
+else:
+    from typing import TypeVar  # which knows defaults from Python 3.13 on
+
+    FramesT = TypeVar("FramesT")
+    SurfaceT = TypeVar("SurfaceT")
 
 
 @dataclass(frozen=True)
@@ -39,7 +52,7 @@ class ForecastStep:
     time_s: float
     """Seconds after the last observed frame."""
     half_radius: float
-    """Of this step, as in ``Forecast.half_radii``."""
+    """Element of ``Forecast.half_radii`` for this step."""
     positions: Float64[np.ndarray, "objects 2"]
     """Pixels."""
     covariances: Float64[np.ndarray, "objects 2 2"]
@@ -49,14 +62,24 @@ class ForecastStep:
 
     @classmethod
     def from_event(cls, event: StreamStep) -> Self:
-        """Turn the event's lists into arrays."""
+        """Turn the event's lists into arrays.
+
+        Raises
+        ------
+        ValueError
+            When they do not fit together.
+        """
+        balls = event.objects
+        require(len(balls) > 0, "the step has no objects")
         return cls(
             step=event.step,
             time_s=event.time_s,
             half_radius=event.half_radius,
-            positions=np.array([ball.position for ball in event.objects]),
-            covariances=np.array([ball.covariance for ball in event.objects]),
-            angular_velocities=_unless_unknown([ball.angular_velocity for ball in event.objects]),
+            positions=checked("positions", [ball.position for ball in balls], (len(balls), 2)),
+            covariances=_covariances([ball.covariance for ball in balls], (len(balls),)),
+            angular_velocities=_unless_unknown(
+                [ball.angular_velocity for ball in balls], (len(balls), 3)
+            ),
         )
 
 
@@ -80,7 +103,7 @@ class Forecast:
     times_s: Float64[np.ndarray, " T"]
     """Seconds after the last observed frame."""
     colors: tuple[str, ...]
-    """Of each object."""
+    """Color of each object."""
     model: ModelReference
     """The model that answered."""
     frame_size: tuple[int, int]
@@ -106,9 +129,43 @@ class Forecast:
         """
         return tables.dataframe(tables.forecast_columns(self))
 
+    def to_json(self) -> str:
+        """Return the document that ``POST /predict`` answers with."""
+        return files.forecast_json(self)
+
+    def save(
+        self,
+        path: Path | str,
+        frames: Frames | None = None,
+        *,
+        times_s: Sequence[float] | None = None,
+        crop: Crop | None = None,
+    ) -> None:
+        """Write the forecast into a file of the kind that the suffix names.
+
+        Parameters
+        ----------
+        path
+            ``.png``, ``.jpg`` and ``.webp`` are drawn as by ``plot``; ``.mp4``, ``.webm`` and
+            ``.gif`` are a video with a frame for every step; ``.json`` is ``to_json``, and ``.csv``
+            has the rows of ``to_dataframe``.
+        frames, times_s, crop
+            The background of pictures and videos, as for ``plot``.
+
+        Raises
+        ------
+        ValueError
+            When the suffix is another one, or frames do not fit.
+        rollcast.errors.MissingExtraError
+            When a video needs PyAV, which is not installed (``.gif`` does not).
+        OSError
+            When the file cannot be written.
+        """
+        files.save(self, Path(path), frames, times_s, crop)
+
     def plot(
         self,
-        frames: Frames,
+        frames: Frames | None = None,
         *,
         times_s: Sequence[float] | None = None,
         crop: Crop | None = None,
@@ -120,7 +177,7 @@ class Forecast:
         ----------
         frames
             The last observed frame, then any that follow it, as large as those that were sent. Of a
-            simulation: ``frames[3:]``.
+            simulation: ``frames[3:]``. By default a dark background.
         times_s
             Seconds after the last observed frame, of every frame; by default they follow each
             other as the forecast's steps do. Frames after its end are left out.
@@ -141,21 +198,44 @@ class Forecast:
         """
         return pictures.forecast(self, frames, times_s, crop, panels)
 
+    def _repr_png_(self) -> bytes:
+        """Return a picture for notebooks."""
+        return files.png(self)
+
     @classmethod
     def from_response(cls, response: PredictResponse) -> Self:
-        """Turn the answer's lists into arrays."""
-        final = response.final_positions
+        """Turn the answer's lists into arrays.
+
+        Raises
+        ------
+        ValueError
+            When they do not fit together.
+        """
+        balls, final = response.objects, response.final_positions
+        require(len(balls) > 0, "there are no objects")
+        require([ball.id for ball in balls] == [*range(len(balls))], "the objects are not numbered")
+        times_s = checked_times("times_s", response.times_s)
+        shape = (len(balls), len(times_s))
+        require(len(times_s) > 0, "there are no steps")
+        require(min(response.frame_size) > 0, f"frame_size is {response.frame_size}")
+        require(response.frame_rate > 0, f"frame_rate is {response.frame_rate}")
+        source = balls[0].covariance_source
+        require(
+            all(ball.covariance_source == source for ball in balls), "covariance_source differs"
+        )
         return cls(
-            positions=np.array([ball.positions for ball in response.objects]),
-            covariances=np.array([ball.covariances for ball in response.objects]),
-            covariance_source=response.objects[0].covariance_source,
-            half_radii=np.array(response.half_radii),
+            positions=checked("positions", [ball.positions for ball in balls], (*shape, 2)),
+            covariances=_covariances([ball.covariances for ball in balls], shape),
+            covariance_source=source,
+            half_radii=checked("half_radii", response.half_radii, shape[1:]),
             angular_velocities=_unless_unknown(
-                [ball.angular_velocities for ball in response.objects]
+                [ball.angular_velocities for ball in balls], (*shape, 3)
             ),
-            final_positions=None if final is None else np.array(final),
-            times_s=np.array(response.times_s),
-            colors=tuple(ball.color for ball in response.objects),
+            final_positions=None
+            if final is None
+            else checked("final_positions", final, (len(balls), 2)),
+            times_s=times_s,
+            colors=tuple(ball.color for ball in balls),
             model=response.model,
             frame_size=response.frame_size,
             frame_rate=response.frame_rate,
@@ -165,7 +245,16 @@ class Forecast:
 
     @classmethod
     def from_events(cls, steps: Sequence[StreamStep], done: StreamDone) -> Self:
-        """Put a stream's events together."""
+        """Put a stream's events together.
+
+        Raises
+        ------
+        ValueError
+            When they do not fit together.
+        """
+        ids = [ball.id for ball in done.objects]
+        for step in steps:
+            require([ball.id for ball in step.objects] == ids, f"step {step.step}: other objects")
         balls = [
             ForecastObject(
                 **dict(ball),
@@ -198,11 +287,15 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class Simulation:
-    """A scene and what happens in it. Forecast step t of frames 0..3 belongs to index t + 3."""
+class Simulation(Generic[FramesT, SurfaceT]):
+    """A scene and the motion in it. Forecast step t of frames 0..3 belongs to index t + 3.
 
-    frames: UInt8[np.ndarray, "steps S S 3"] | None
-    """RGB; None when they were not asked for."""
+    To type checkers ``Simulation[FramesT, SurfaceT]`` says whether frames and surface are present;
+    ``simulate`` returns the right one for its arguments, and a bare ``Simulation`` is any.
+    """
+
+    frames: FramesT
+    """RGB, uint8 [steps, S, S, 3]; None when they were not asked for."""
     positions: Float64[np.ndarray, "objects steps 2"]
     """Pixels."""
     angular_velocities: Float64[np.ndarray, "objects steps 3"]
@@ -212,7 +305,7 @@ class Simulation:
     radii_px: Float64[np.ndarray, " objects"]
     """Pixels."""
     colors: tuple[Color, ...]
-    """Of each object."""
+    """Color of each object."""
     scene: Scene
     """Every parameter; ``simulate`` takes it back."""
     start_step: int
@@ -221,7 +314,7 @@ class Simulation:
     """Width and height of the frames, pixels."""
     frame_rate: float
     """Frames a second."""
-    surface: Surface | None = None
+    surface: SurfaceT
     """The ground; None when it was not asked for."""
 
     def to_dataframe(self) -> "DataFrame":
@@ -252,28 +345,64 @@ class Simulation:
         """
         return pictures.simulation(self, panels)
 
-    @classmethod
-    def from_response(cls, response: SimulateResponse) -> Self:
-        """Turn the answer's lists and images into arrays."""
-        files, ground = response.frames, response.surface
-        return cls(
-            frames=None
-            if files is None
-            else np.stack([decoded(base64.b64decode(file)) for file in files]),
-            positions=np.array([ball.positions for ball in response.objects]),
-            angular_velocities=np.array([ball.angular_velocities for ball in response.objects]),
-            times_s=np.array(response.times_s),
-            radii_px=np.array([ball.radius_px for ball in response.objects]),
-            colors=tuple(ball.color for ball in response.objects),
+    @staticmethod
+    def from_response(response: SimulateResponse) -> "Simulation":
+        """Turn the answer's lists and images into arrays.
+
+        Raises
+        ------
+        ValueError
+            When they do not fit together, or an image cannot be decoded.
+        """
+        balls, ground = response.objects, response.surface
+        require(len(balls) > 0, "there are no objects")
+        times_s = checked_times("times_s", response.times_s)
+        require(response.frame_rate > 0, f"frame_rate is {response.frame_rate}")
+        shape = (len(balls), len(times_s))
+        return Simulation(
+            frames=None if response.frames is None else _decoded_frames(response),
+            positions=checked("positions", [ball.positions for ball in balls], (*shape, 2)),
+            angular_velocities=checked(
+                "angular_velocities", [ball.angular_velocities for ball in balls], (*shape, 3)
+            ),
+            times_s=times_s,
+            radii_px=np.array([ball.radius_px for ball in balls]),
+            colors=tuple(ball.color for ball in balls),
             scene=response.scene,
             start_step=response.start_step,
             frame_size=response.frame_size,
             frame_rate=response.frame_rate,
-            surface=None
-            if ground is None
-            else Surface(np.array(ground.heights_m, np.float64), ground.half_width_m),
+            surface=None if ground is None else _surface(ground),
         )
 
 
-def _unless_unknown(values: Sequence[object]) -> np.ndarray | None:
-    return None if None in values else np.array(values)
+def _decoded_frames(response: SimulateResponse) -> np.ndarray:
+    """Decode the frames one by one, each of the size that the answer states."""
+    encoded = response.frames or []
+    steps, (width, height) = len(response.times_s), response.frame_size
+    require(len(encoded) == steps, f"there are {len(encoded)} frames of {steps} steps")
+    require(0 < width <= MAX_IMAGE_SIZE and 0 < height <= MAX_IMAGE_SIZE, "frame_size is wrong")
+    frames = np.empty((steps, height, width, 3), np.uint8)
+    for index, text in enumerate(encoded):
+        frame = decoded(base64.b64decode(text, validate=True))
+        require(frame.shape == frames.shape[1:], f"frame {index} is not of the size frame_size")
+        frames[index] = frame
+    return frames
+
+
+def _surface(grid: SurfaceGrid) -> Surface:
+    points = len(grid.heights_m)
+    return Surface(checked("heights_m", grid.heights_m, (points, points)), grid.half_width_m)
+
+
+def _covariances(values: object, shape: tuple[int, ...]) -> np.ndarray:
+    covariances = checked("covariances", values, (*shape, 2, 2))
+    variances = np.diagonal(covariances, axis1=-2, axis2=-1)
+    require(bool((variances >= 0).all()), "a variance is negative")
+    return covariances
+
+
+def _unless_unknown(values: Sequence[object], shape: tuple[int, ...]) -> np.ndarray | None:
+    known = [value is not None for value in values]
+    require(all(known) or not any(known), "angular velocities of some objects are missing")
+    return checked("angular_velocities", values, shape) if any(known) else None

@@ -1,12 +1,15 @@
-"""When a call is sent again: what has failed may pass, and nothing is changed by asking twice."""
+"""Which failed calls are sent again, and when. Calls change nothing, so repeating them is safe."""
 
-import httpx2
+from collections.abc import Callable
+
 from tenacity import RetryCallState, wait_random_exponential
 
+from rollcast.client.deadline import Deadline
 from rollcast.errors import (
-    BusyError,
     ClientError,
-    ServiceFailedError,
+    OverloadedError,
+    RequestTimeoutError,
+    ServerError,
     UnexpectedAnswerError,
     UnreachableError,
 )
@@ -14,34 +17,51 @@ from rollcast.errors import (
 FIRST_WAIT_S = 0.1
 LONGEST_WAIT_S = 5.0
 """Bounds of the random wait before a call is sent again, which doubles every time."""
+LONGEST_RETRY_AFTER_S = 60.0
+"""Longest Retry-After that is waited for; after a longer one the error is raised at once."""
 NOT_READY = 503
-OF_A_PROXY = {429, 500, 502, 503, 504}
-"""Statuses that a proxy before the service gives when it cannot pass on a request or its answer."""
+PROXY_STATUSES = {429, 500, 502, 503, 504}
+"""Statuses of a proxy that cannot pass on a request or its answer."""
 
 _backoff = wait_random_exponential(multiplier=FIRST_WAIT_S, max=LONGEST_WAIT_S)
 
 
-def may_pass(error: BaseException) -> bool:
-    """Tell whether a call that failed may go well when it is sent again.
+def is_retryable(error: BaseException) -> bool:
+    """Return whether a failed call may succeed when it is sent again.
 
-    A service that failed by itself or took too long would do so again.
+    A service that failed by itself would fail again, and after a timeout no time remains.
     """
     match error:
-        case UnreachableError():
-            late = httpx2.ReadTimeout, httpx2.WriteTimeout, httpx2.UnsupportedProtocol
-            return not isinstance(error.__cause__, late)
-        case BusyError():
+        case RequestTimeoutError():
+            return False
+        case UnreachableError() | OverloadedError():
             return True
-        case ServiceFailedError():
-            return error.problem.status == NOT_READY
+        case ServerError():
+            return error.status_code == NOT_READY
         case UnexpectedAnswerError():
-            return error.status in OF_A_PROXY
+            return error.status_code in PROXY_STATUSES
         case _:
             return False
 
 
-def wait_s(attempts: RetryCallState) -> float:
-    """Return how long to wait, at least as long as the service asked for (Retry-After)."""
-    error = attempts.outcome.exception() if attempts.outcome else None
-    asked = error.retry_after_s if isinstance(error, ClientError) else 0.0
-    return asked + _backoff(attempts)
+def wait_s(state: RetryCallState) -> float:
+    """Return the seconds until the next attempt: Retry-After and a random wait on top."""
+    return _retry_after_s(state) + _backoff(state)
+
+
+def stop(retries: int, deadline: Deadline) -> Callable[[RetryCallState], bool]:
+    """Return the rule that ends the attempts: by their number, or when the wait is too long."""
+
+    def stops(state: RetryCallState) -> bool:
+        return (
+            state.attempt_number > retries
+            or _retry_after_s(state) > LONGEST_RETRY_AFTER_S
+            or state.upcoming_sleep >= deadline.left_s()
+        )
+
+    return stops
+
+
+def _retry_after_s(state: RetryCallState) -> float:
+    error = state.outcome.exception() if state.outcome else None
+    return error.retry_after_s if isinstance(error, ClientError) else 0.0

@@ -1,5 +1,7 @@
 """Results as columns: a row for every step of every ball, in the order of time."""
 
+import csv
+import io
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,6 +47,15 @@ def dataframe(columns: Columns) -> "DataFrame":
     except ModuleNotFoundError as error:
         raise MissingExtraError("data frames need", "pandas", "dataframe") from error
     return pd.DataFrame(columns)
+
+
+def csv_text(columns: Columns) -> str:
+    """Return a line of names and a line for every row, without the last line's end."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+    return text.getvalue().rstrip("\n")
 
 
 def _path_columns(result: "Forecast | Simulation") -> Columns:

@@ -28,13 +28,13 @@ from pydantic import BaseModel, ValidationError
 
 from rollcast.client import fakes
 from rollcast.client.fakes import RefusalError
-from rollcast.http import Health, ModelList, PredictRequest, Problem, SimulateRequest
+from rollcast.schemas import Health, ModelList, PredictRequest, Problem, SimulateRequest
 
-__all__ = ["Asked", "FakeService"]
+__all__ = ["FakeService", "RecordedRequest"]
 
 
 @dataclass(frozen=True)
-class Asked:
+class RecordedRequest:
     """A request that a fake service has got."""
 
     method: str
@@ -81,7 +81,7 @@ class FakeService(httpx2.MockTransport):
     ) -> None:
         super().__init__(self._answer)
         self.problem = problem
-        self.asked: list[Asked] = []
+        self.asked: list[RecordedRequest] = []
         self._variance_px2 = variance_px2
         self._positions: np.ndarray | None = None
         if positions is not None:
@@ -102,7 +102,7 @@ class FakeService(httpx2.MockTransport):
         except RefusalError as refusal:
             return _refused(refusal.problem)
 
-    def _served(self, asked: Asked) -> httpx2.Response:
+    def _served(self, asked: RecordedRequest) -> httpx2.Response:
         match asked.method, asked.path.strip("/").split("/"):
             case "POST", ["predict", *stream] if stream in ([], ["stream"]):
                 body = fakes.typed(asked.fields, asked.frames, asked.final_frame)
@@ -125,12 +125,14 @@ class FakeService(httpx2.MockTransport):
                 raise RefusalError(fakes.nothing_here(f"{asked.method} {asked.path}"))
 
 
-def _read(request: httpx2.Request) -> Asked:
+def _read(request: httpx2.Request) -> RecordedRequest:
     kind, _, parameters = request.headers.get("content-type", "").partition(";")
     method, path, body = request.method, request.url.path, request.content
     if kind == "multipart/form-data":
-        return Asked(method, path, *fakes.parts(body, parameters.partition("boundary=")[2]))
-    return Asked(method, path, json.loads(body) if body else {})
+        return RecordedRequest(
+            method, path, *fakes.parts(body, parameters.partition("boundary=")[2])
+        )
+    return RecordedRequest(method, path, json.loads(body) if body else {})
 
 
 def _json(body: BaseModel) -> httpx2.Response:

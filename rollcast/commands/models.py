@@ -4,9 +4,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from rollcast.commands.options import DEFAULT_URL, Outcome, Url, client
+from rollcast.commands.options import Outcome, Url, client
 from rollcast.commands.printing import as_json, as_table
-from rollcast.http import ModelEntry
+from rollcast.schemas import ModelEntry
 
 HELP = """\
 List the models of a service, refused ones with the reason.
@@ -23,7 +23,7 @@ Examples:
 
 def models(
     context: typer.Context,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
     form: Annotated[Literal["table", "json"], typer.Option("--format", help="how to print it")] = (
         "table"
     ),

@@ -9,14 +9,14 @@ import httpx2
 import typer
 
 from rollcast.client import Client
+from rollcast.client.settings import DEFAULT_URL, URL_VARIABLE
 from rollcast.footage import SquareCrop
 
-DEFAULT_URL = "http://127.0.0.1:8000"
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 FILMS = (".mp4", ".webm", ".gif")
 
-Connect: TypeAlias = Callable[[str], Client]
-"""Makes the client of an address."""
+Connect: TypeAlias = Callable[[str | None], Client]
+"""Maker of the client of an address, None for the default one."""
 Format: TypeAlias = Literal["table", "json", "csv"]
 
 
@@ -35,8 +35,8 @@ class CommandError(Exception):
     """A command cannot do its work; the message is one line for the user."""
 
 
-def client(context: typer.Context, url: str) -> Client:
-    """Return a client of an address, made by whoever runs the commands."""
+def client(context: typer.Context, url: str | None) -> Client:
+    """Return a client of an address, made by the caller of the commands."""
     connect: Connect = context.obj
     return connect(url)
 
@@ -103,7 +103,13 @@ def _in_a_folder(path: Path) -> Path:
 
 
 Url: TypeAlias = Annotated[
-    str, typer.Option(parser=_url, metavar="ADDRESS", help="address of the service")
+    str | None,
+    typer.Option(
+        parser=_url,
+        metavar="ADDRESS",
+        help=f"address of the service (default: {URL_VARIABLE}, else {DEFAULT_URL})",
+        show_default=False,
+    ),
 ]
 Start: TypeAlias = Annotated[
     float | None,

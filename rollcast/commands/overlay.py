@@ -11,9 +11,9 @@ from rollcast.commands.options import FILMS
 from rollcast.commands.progress import counted
 from rollcast.commands.reading import LaterFrames
 from rollcast.errors import FootageError
-from rollcast.film import write_film
 from rollcast.footage import Footage
 from rollcast.plot import draw_forecast, draw_moment
+from rollcast.video_writer import write_film
 
 LATER_FRAMES = 6
 """In the picture, where the footage goes on after the observed frames."""

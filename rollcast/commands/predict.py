@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from rollcast.client import Client
+from rollcast.client.clips import blend_warnings
 from rollcast.commands.options import (
-    DEFAULT_URL,
     Crop,
     Drawing,
     Every,
@@ -25,12 +25,9 @@ from rollcast.commands.printing import forecast_text
 from rollcast.commands.progress import waiting
 from rollcast.commands.reading import frame_of_step, read
 from rollcast.footage import SquareCrop
-from rollcast.http import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON
 from rollcast.scene import MAX_FORECAST_OBJECTS, Domain
+from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON
 from rollcast.trajectory import FRAME_RATE_HZ
-
-LONG_BLEND_S = 0.05
-"""Between two frames in which a ball may have gone on too far for them to be faded."""
 
 HELP = """\
 Forecast the ball of a video or of images.
@@ -95,7 +92,7 @@ def predict(
     scenario: Annotated[
         Domain | None, typer.Option(help="let auto choose among models made for it")
     ] = None,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
     form: Printed = "table",
     out: Drawing = None,
     slower: Slower = 1,
@@ -119,9 +116,7 @@ def predict(
         )
     if out is not None:
         draw(out, observed, later_frames, forecast, slower)
-    warnings = list(forecast.warnings)
-    if observed.blended_over_s:
-        warnings.insert(0, _blended(observed.blended_over_s, known_rate))
+    warnings = [*blend_warnings(observed, known_rate), *forecast.warnings]
     text = forecast_text(observed, forecast, warnings, form)
     return Outcome(text, warnings if form == "csv" else ())
 
@@ -134,12 +129,3 @@ def _known(service: Client, model: str) -> tuple[float, SquareCrop | None]:
     entry = service.model(name, int(version) if version.isdecimal() else None)
     crop = None if entry.rig is None else SquareCrop(*entry.rig.crop)
     return entry.frame_rate_hz or FRAME_RATE_HZ, crop
-
-
-def _blended(over_s: float, rate: float) -> str:
-    """Warn that frames were made which the camera did not take."""
-    text = (
-        f"the camera took no frames {rate:g} a second apart: they are blended from those before "
-        f"and after, up to {1e3 * over_s:.0f} ms apart"
-    )
-    return text if over_s <= LONG_BLEND_S else f"{text}, which is long for a ball that rolls"

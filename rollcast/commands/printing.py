@@ -1,14 +1,12 @@
 """Results as text: tables for people, JSON and CSV for programs."""
 
-import csv
-import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 from rollcast.client import Forecast, Simulation
-from rollcast.client.tables import Columns, forecast_columns, simulation_columns
+from rollcast.client.tables import Columns, csv_text, forecast_columns, simulation_columns
 from rollcast.commands.options import Format
 from rollcast.commands.overlay import spread
 from rollcast.footage import Footage
@@ -25,7 +23,7 @@ def forecast_text(
     columns["x_px"] = columns["x_px"] + crop.x
     columns["y_px"] = columns["y_px"] + crop.y
     if form == "csv":
-        return as_csv(columns)
+        return csv_text(columns)
     model = f"{forecast.model.name}@{forecast.model.version}"
     if form == "table":
         lines = [
@@ -66,7 +64,7 @@ def truth_text(simulation: Simulation, form: Format) -> str:
     """Print a true path in pixels of the frames."""
     columns = simulation_columns(simulation)
     if form == "csv":
-        return as_csv(columns)
+        return csv_text(columns)
     if form == "table":
         return "\n".join(
             [
@@ -99,15 +97,6 @@ def truth_text(simulation: Simulation, form: Format) -> str:
 def as_json(value: object) -> str:
     """Return JSON to be read by people as well."""
     return json.dumps(value, indent=1)
-
-
-def as_csv(columns: Columns) -> str:
-    """Return a line of names and a line for every row."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
-    return text.getvalue().rstrip("\n")
 
 
 def as_table(rows: Sequence[Mapping[str, Any]]) -> str:

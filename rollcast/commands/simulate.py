@@ -8,7 +8,6 @@ from PIL import Image
 
 from rollcast.client import Simulation
 from rollcast.commands.options import (
-    DEFAULT_URL,
     FILMS,
     CommandError,
     FolderOrFilm,
@@ -22,10 +21,10 @@ from rollcast.commands.options import (
 )
 from rollcast.commands.printing import as_json, truth_text
 from rollcast.commands.progress import counted, waiting
-from rollcast.film import write_film
-from rollcast.http import DEFAULT_HORIZON, MAX_IMAGE_SIZE, MAX_STEPS, MIN_FRAME_SIZE, MIN_STEPS
 from rollcast.scene import MAX_OBJECTS, MAX_SEED, Scenario
+from rollcast.schemas import DEFAULT_HORIZON, MAX_IMAGE_SIZE, MAX_STEPS, MIN_FRAME_SIZE, MIN_STEPS
 from rollcast.trajectory import OBSERVED_FRAMES
+from rollcast.video_writer import write_film
 
 HELP = """\
 Simulate a scene: its frames and the true path.
@@ -68,7 +67,7 @@ def simulate(
             help="side of the frames",
         ),
     ] = 128,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
     form: Printed = "table",
     out: FolderOrFilm = None,
     slower: Slower = 1,

@@ -8,8 +8,8 @@ import typer
 from rollcast.commands.options import CommandError, Crop, Outcome, whole_number
 from rollcast.commands.progress import counted, waiting
 from rollcast.errors import MissingExtraError
-from rollcast.film import write_film
 from rollcast.scene import MAX_FORECAST_OBJECTS
+from rollcast.video_writer import write_film
 
 if TYPE_CHECKING:
     from rollcast.tracking.quality import Quality

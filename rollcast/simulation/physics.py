@@ -12,18 +12,24 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import pybullet
 
 from rollcast.camera import HEIGHTFIELD_HALF_WIDTH_M
+from rollcast.errors import MissingExtraError
 from rollcast.scene import Quaternion, Scene, Vector3
 from rollcast.surfaces import BOWL_RADIUS_M, EllipsoidalBowl, Surface, surface_of
 from rollcast.trajectory import FRAME_RATE_HZ, Trajectory
+
+try:
+    import pybullet
+except ImportError as error:
+    raise MissingExtraError("simulations need", "pybullet", "simulation") from error
 
 STEPS_PER_FRAME = 9
 """360 Hz: three substeps of 120 Hz, as in the paper's simulation details."""
 
 BALL_RESTITUTION = 0.7
-"""Between two balls (paper, section 3.1); surfaces have none and walls are elastic."""
+"""Between two balls (paper, section 3.1), unless the scene says otherwise; surfaces have none, and
+the walls of heightfields are elastic."""
 
 GRAVITY_M_S2 = 9.81
 
@@ -55,6 +61,40 @@ class Material:
     def __post_init__(self) -> None:
         if self.rolling_resistance > 0 and self.friction <= 0:
             raise ValueError("rolling_resistance needs friction: Bullet multiplies the two")
+
+
+class _Coefficients(NamedTuple):
+    """Coefficients of the bodies of a scene; Bullet multiplies those of the two that touch."""
+
+    ball_friction: float
+    ground_friction: float
+    wall_friction: float
+    ball_restitution: float
+    wall_restitution: float
+    rolling_resistance: float
+    damping: float
+
+    @classmethod
+    def of(cls, scene: Scene, default: Material) -> "_Coefficients":
+        """Split the scene's coefficients of pairs; without them, use the default material."""
+        ball = default.friction if scene.ball_friction is None else math.sqrt(scene.ball_friction)
+        ground = default.friction if scene.friction is None else scene.friction / ball
+        if scene.friction is None and scene.ball_friction is not None:
+            ground = default.friction**2 / ball
+        restitution = math.sqrt(_given(scene.ball_restitution, BALL_RESTITUTION))
+        return cls(
+            ball,
+            ground,
+            scene.wall_friction / ball if scene.wall_friction else 0.0,
+            restitution,
+            _given(scene.wall_restitution, 1.0) / restitution,
+            _given(scene.rolling_resistance, default.rolling_resistance),
+            _given(scene.damping, default.damping),
+        )
+
+
+def _given(value: float | None, default: float) -> float:
+    return default if value is None else value
 
 
 class State(NamedTuple):
@@ -102,6 +142,8 @@ class World:
             physicsClientId=client,
         )
         self._radius = scene.radius_m
+        self._coefficients = _Coefficients.of(scene, self._material)
+        self._masses = scene.mass_ratios or (1.0,) * scene.objects
         self.surface: Surface = surface_of(scene) if surface is None else surface
         sphere = pybullet.createCollisionShape(
             pybullet.GEOM_SPHERE, radius=scene.radius_m, physicsClientId=client
@@ -118,30 +160,32 @@ class World:
             [self._make_surface_plane(k, plane) for _ in range(_MAX_CONTACTS)]
             for k in range(scene.objects)
         ]
-        if scene.scenario == "heightfield":
-            self._make_walls()
+        half = HEIGHTFIELD_HALF_WIDTH_M
+        walls = (-half, -half, half, half) if scene.scenario == "heightfield" else scene.walls_m
+        if walls is not None:
+            self._make_walls(*walls)
         self._centres = list(scene.positions_m)
         self.touching: list[list[Vector3]] = [[] for _ in self._balls]
 
     # Bullet multiplies the two bodies' coefficients of restitution and of friction.
     def _make_ball(self, scene: Scene, index: int, shape: int) -> int:
         client = self._client
+        spin = (0, 0, 0) if scene.spins_rad_s is None else scene.spins_rad_s[index]
+        own = self._coefficients
         body = pybullet.createMultiBody(
-            1.0, shape, self._looks, scene.positions_m[index], scene.orientations_xyzw[index],
-            physicsClientId=client,
+            self._masses[index], shape, self._looks, scene.positions_m[index],
+            scene.orientations_xyzw[index], physicsClientId=client,
         )  # fmt: skip
-        pybullet.resetBaseVelocity(
-            body, scene.velocities_m_s[index], (0, 0, 0), physicsClientId=client
-        )
+        pybullet.resetBaseVelocity(body, scene.velocities_m_s[index], spin, physicsClientId=client)
         pybullet.changeDynamics(
-            body, -1, lateralFriction=self._material.friction, rollingFriction=0,
-            spinningFriction=0, restitution=math.sqrt(BALL_RESTITUTION),
-            linearDamping=self._material.damping, angularDamping=self._material.damping,
+            body, -1, lateralFriction=own.ball_friction, rollingFriction=0,
+            spinningFriction=0, restitution=own.ball_restitution,
+            linearDamping=own.damping, angularDamping=own.damping,
             maxJointVelocity=_UNLIMITED, physicsClientId=client,
         )  # fmt: skip
-        own = 4 << index
+        group = 4 << index
         pybullet.setCollisionFilterGroupMask(
-            body, -1, _BALLS | own, _BALLS | _WALLS | own, physicsClientId=client
+            body, -1, _BALLS | group, _BALLS | _WALLS | group, physicsClientId=client
         )
         return body
 
@@ -151,11 +195,11 @@ class World:
         body = pybullet.createMultiBody(
             0, shape, self._looks, (0, 0, _OUT_OF_REACH_M), physicsClientId=client
         )
-        material = self._material
+        own = self._coefficients
         # Bullet multiplies the resistance of one body by the friction of the other.
         resistance = (
-            material.rolling_resistance * self._radius / material.friction
-            if material.rolling_resistance
+            own.rolling_resistance * self._radius / own.ball_friction
+            if own.rolling_resistance
             else 0.0
         )
         # Bullet corrects a share dt k / (dt k + d) of an overlap.
@@ -163,25 +207,25 @@ class World:
         share = _SURFACE_ERROR_REDUCTION
         stiffness = _RIGID_N_S_M * rate * share / (1 - share)
         pybullet.changeDynamics(
-            body, -1, lateralFriction=material.friction, rollingFriction=resistance,
+            body, -1, lateralFriction=own.ground_friction, rollingFriction=resistance,
             spinningFriction=resistance, restitution=0, contactStiffness=stiffness,
             contactDamping=_RIGID_N_S_M, physicsClientId=client,
         )  # fmt: skip
-        own = 4 << index
-        pybullet.setCollisionFilterGroupMask(body, -1, own, own, physicsClientId=client)
+        group = 4 << index
+        pybullet.setCollisionFilterGroupMask(body, -1, group, group, physicsClientId=client)
         return body
 
-    def _make_walls(self) -> None:
-        """Four elastic, frictionless planes around the camera's view."""
-        client = self._client
+    def _make_walls(self, left: float, bottom: float, right: float, top: float) -> None:
+        """Make four vertical planes that face inwards."""
+        client, own = self._client, self._coefficients
         for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             shape = pybullet.createCollisionShape(
                 pybullet.GEOM_PLANE, planeNormal=[-x, -y, 0], physicsClientId=client
             )
-            origin = (x * HEIGHTFIELD_HALF_WIDTH_M, y * HEIGHTFIELD_HALF_WIDTH_M, 0)
+            origin = (right if x > 0 else left, top if y > 0 else bottom, 0)
             body = pybullet.createMultiBody(0, shape, self._looks, origin, physicsClientId=client)
             pybullet.changeDynamics(
-                body, -1, lateralFriction=0, restitution=1 / math.sqrt(BALL_RESTITUTION),
+                body, -1, lateralFriction=own.wall_friction, restitution=own.wall_restitution,
                 physicsClientId=client,
             )  # fmt: skip
             pybullet.setCollisionFilterGroupMask(body, -1, _WALLS, _BALLS, physicsClientId=client)
@@ -221,12 +265,13 @@ class World:
         if not isinstance(self.surface, EllipsoidalBowl):
             return False
         energy = 0.0
-        for ball, centre in zip(self._balls, self._centres, strict=True):
+        for ball, centre, mass in zip(self._balls, self._centres, self._masses, strict=True):
             v, w = pybullet.getBaseVelocity(ball, physicsClientId=self._client)
-            # Unit mass; a solid sphere turns with inertia 2/5 r^2.
+            # A solid sphere turns with inertia 2/5 m r^2.
             spin = 0.4 * self._radius**2 * np.dot(w, w)
-            energy += 0.5 * (np.dot(v, v) + spin) + GRAVITY_M_S2 * (centre[2] - self._radius)
-        return energy >= GRAVITY_M_S2 * (BOWL_RADIUS_M - self._radius)
+            height = centre[2] - self._radius
+            energy += mass * (0.5 * (np.dot(v, v) + spin) + GRAVITY_M_S2 * height)
+        return energy >= min(self._masses) * GRAVITY_M_S2 * (BOWL_RADIUS_M - self._radius)
 
     def speeds_m_s(self) -> list[float]:
         """Speed of every ball's centre."""

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from rollcast.camera import Camera
-from rollcast.scene import Scene
-from rollcast.surfaces import EllipsoidalBowl, Heightfield, surface_of
+from rollcast.scene import PALETTE, Scene
+from rollcast.surfaces import EllipsoidalBowl, Heightfield, Table, surface_of
 from rollcast.trajectory import Trajectory
 
 _SUPERSAMPLES = 2
@@ -23,6 +23,7 @@ _SUPERSAMPLES = 2
 _CHECKER_SIDE_RAD = math.pi / 10
 _CHECKER_COLORS = np.array([[0.92, 0.92, 0.90], [0.22, 0.26, 0.32]])
 GROUND_COLOR = np.array([0.80, 0.76, 0.70])
+_CLOTH_COLOR, _CUSHION_COLOR = np.array([0.16, 0.46, 0.32]), np.array([0.36, 0.22, 0.12])
 BEYOND_COLOR = np.array([0.05, 0.05, 0.05])
 """Outside the rim of a bowl."""
 
@@ -33,7 +34,7 @@ _TEXTURE_COLORS = np.array(
         [[[0.15, 0.20, 0.75], [0.95, 0.95, 0.95]], [[0.70, 0.20, 0.70], [0.95, 0.45, 0.10]]],
     ]
 )
-_BALL_COLORS = np.array([[0.9, 0.1, 0.1], [0.1, 0.8, 0.1], [0.15, 0.25, 0.95]])
+_BALL_COLORS = np.array(list(PALETTE.values()))
 _DIFFUSE, _SPECULAR, _SHININESS = 0.8, 0.5, 30
 """Coloured balls (paper, section 3.1): Phong with a diffuse and a specular intensity."""
 
@@ -51,9 +52,10 @@ class _Lighting:
     camera_lamp: float = 0.0
 
 
-_BOWL_LIGHTING = {
+_LIGHTING = {
     "hemisphere": _Lighting(environment=0.7),
     "ellipsoid": _Lighting(environment=0.2, camera_lamp=0.8),
+    "table": _Lighting(environment=0.3, camera_lamp=0.7),
 }
 
 
@@ -185,6 +187,8 @@ class Renderer:
         points = np.stack([x, y, z], axis=-1)
         if isinstance(self._surface, EllipsoidalBowl):
             colors = _checkerboard(self._surface, x, y)
+        elif isinstance(self._surface, Table):
+            colors = _cloth(self._surface, x, y)
         else:
             colors = np.broadcast_to(GROUND_COLOR, points.shape)
         light = self._light_on(points, normals)
@@ -198,7 +202,7 @@ class Renderer:
     def _light_on(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Diffuse light on points with normals, before shadows."""
         if self._scene.light_position_m is None:
-            lighting = _BOWL_LIGHTING[self._scene.scenario]
+            lighting = _LIGHTING[self._scene.scenario]
             return lighting.environment + lighting.camera_lamp * np.maximum(normals[..., 2], 0)
         towards = np.asarray(self._scene.light_position_m) - points
         squared = np.sum(towards**2, axis=-1)
@@ -315,6 +319,13 @@ def _checkerboard(bowl: EllipsoidalBowl, x: np.ndarray, y: np.ndarray) -> np.nda
     polar, azimuth = bowl.angles(x, y)
     fields = np.floor(polar / _CHECKER_SIDE_RAD) + np.floor(azimuth / _CHECKER_SIDE_RAD)
     return _CHECKER_COLORS[(fields.astype(int) % 2)]
+
+
+def _cloth(table: Table, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Cloth within the walls and cushions beyond them."""
+    left, bottom, right, top = table.walls_m
+    within = (left <= x) & (x <= right) & (bottom <= y) & (y <= top)
+    return np.where(within[..., None], _CLOTH_COLOR, _CUSHION_COLOR)
 
 
 def _octant_colors(body_normals: np.ndarray, sharpness: float) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Scene distributions of the paper's section "Experimental Setup", without its rejection rules.
 
+Tables are an addition to the paper: planes with or without cushions, sliding balls, spin.
+
 Every field is drawn whether or not the caller fixes it, so fixing one leaves the others' draws
 alone. What the paper leaves open is settled in docs/decisions/0014.
 """
@@ -12,15 +14,19 @@ import numpy as np
 import pybullet
 from pydantic import TypeAdapter, ValidationError
 
-from rollcast.camera import HEIGHTFIELD_HALF_WIDTH_M
+from rollcast.camera import HEIGHTFIELD_HALF_WIDTH_M, TABLE_HALF_WIDTH_M
 from rollcast.errors import SceneParametersError
 from rollcast.scene import LARGE_RADIUS_M, SCENARIOS, Scenario, Scene, Vector3
-from rollcast.surfaces import Contact, EllipsoidalBowl, Heightfield
+from rollcast.surfaces import Contact, EllipsoidalBowl, Heightfield, Table
 
 NOISE_PLANE_SIDE_M = 8.0
 LIGHT_HEIGHT_M = 2.0
 MAX_STARTS = 1000
 """Draws of one ball's start before the scene is taken as it is, for the whole to be judged."""
+OUT_OF_VIEW_M = (-5.0, -5.0, 5.0, 5.0)
+"""Walls of an open table."""
+MAX_TABLE_STARTS = 100
+"""The same on tables, where a start is acceptable unless balls overlap."""
 
 
 WEDGED = 1.1
@@ -33,6 +39,7 @@ class Start(NamedTuple):
 
     position_m: Vector3
     velocity_m_s: Vector3
+    spin_rad_s: Vector3 = (0.0, 0.0, 0.0)
 
 
 def scene_generator(scenario: Scenario, objects: int, seed: int) -> np.random.Generator:
@@ -76,20 +83,29 @@ def draw_scene(
     if scenario == "heightfield":
         fields |= _draw_landscape(generator) | chosen
         draw_start = _heightfield_starts(fields, generator)
+    elif scenario == "table":
+        fields |= draw_material(generator, objects) | _draw_table(generator) | chosen
+        draw_start = _table_starts(fields, generator)
     else:
         fields |= _draw_bowl(scenario, generator) | chosen
         _require_room(fields)
         draw_start = _bowl_starts(fields, objects, generator)
+    redraws = MAX_TABLE_STARTS if scenario == "table" else MAX_STARTS
     starts: list[Start] = []
     for _ in range(objects):
         starts.append(draw_start())
-        for _ in range(MAX_STARTS if objects > 1 else 0):
+        for _ in range(redraws if objects > 1 else 0):
             if acceptable(_with_starts(fields, starts)):
                 break
             starts[-1] = draw_start()
+        else:
+            if scenario == "table":
+                redraws = 0  # no room: the scene as a whole is rejected soon enough
     fields["positions_m"] = [start.position_m for start in starts]
     fields["velocities_m_s"] = [start.velocity_m_s for start in starts]
     fields["orientations_xyzw"] = [_draw_orientation(generator) for _ in range(objects)]
+    if scenario == "table":
+        fields["spins_rad_s"] = [start.spin_rad_s for start in starts]
     fields |= chosen
     scene = _scene(fields)
     if scene.objects != objects:
@@ -127,6 +143,9 @@ def _with_starts(fields: Mapping[str, Any], starts: list[Start]) -> Scene:
             "positions_m": [start.position_m for start in starts],
             "velocities_m_s": [start.velocity_m_s for start in starts],
             "orientations_xyzw": [(0, 0, 0, 1)] * len(starts),
+            # Lists of all balls, drawn or given already: they do not decide about a start.
+            "mass_ratios": None,
+            "spins_rad_s": None,
         }
     )
 
@@ -171,6 +190,79 @@ def _draw_landscape(generator: np.random.Generator) -> dict[str, Any]:
         "noise_offset_m": (offset_x, offset_y),
         "light_position_m": (light_x, light_y, LIGHT_HEIGHT_M),
     }
+
+
+def draw_material(generator: np.random.Generator, objects: int) -> dict[str, Any]:
+    """Material properties of real tables and balls, from polished wood to thick cloth."""
+    ratios = np.exp(generator.uniform(-math.log(2), math.log(2), objects)).tolist()
+    equal_masses = bool(generator.random() < 0.7)
+    return {
+        "friction": generator.uniform(0.1, 0.4),
+        "ball_friction": generator.uniform(0.02, 0.15),
+        "wall_friction": generator.uniform(0, 0.2),
+        "rolling_resistance": _log_uniform(generator, 0.003, 0.1),
+        "damping": generator.uniform(0, 0.05),
+        "ball_restitution": generator.uniform(0.7, 0.98),
+        "wall_restitution": generator.uniform(0.5, 0.95),
+        "mass_ratios": [1.0] * objects if equal_masses else ratios,
+    }
+
+
+def _draw_table(generator: np.random.Generator) -> dict[str, Any]:
+    """Draw slope, cushions and ball size; half of the tables are level, a third has no cushions."""
+    slope = generator.uniform(-0.06, 0.06, 2).tolist()
+    level = bool(generator.random() < 0.5)
+    left, bottom, right, top = generator.uniform(0.55, 0.96 * TABLE_HALF_WIDTH_M, 4).tolist()
+    walled = bool(generator.random() < 2 / 3)
+    radius = _log_uniform(generator, 0.03, 0.15)
+    return {
+        "radius_m": radius,
+        "slope": (0.0, 0.0) if level else tuple(slope),
+        "walls_m": (-left, -bottom, right, top) if walled else OUT_OF_VIEW_M,
+    }
+
+
+def _table_starts(fields: Mapping[str, Any], generator: np.random.Generator) -> Callable[[], Start]:
+    """Draw starts anywhere on the table; every second ball after the first is at rest.
+
+    A moving ball slides, rolls or does something in between, with a random spin about the normal.
+    """
+    radius = fields["radius_m"]
+    table = Table(fields["slope"], fields["walls_m"])
+    room = TABLE_HALF_WIDTH_M
+    left, bottom = (max(side, -room) for side in fields["walls_m"][:2])
+    right, top = (min(side, room) for side in fields["walls_m"][2:])
+    first = True
+
+    def draw() -> Start:
+        nonlocal first
+        x = _between(generator, left + radius, right - radius)
+        y = _between(generator, bottom + radius, top - radius)
+        contact = table.contact_at(x, y)
+        position = _resting_on(contact, radius)
+        rolling_share, side_spin = generator.uniform(0, 1), generator.normal(0, 10)
+        speed, direction = _log_uniform(generator, 0.3, 8), generator.uniform(-math.pi, math.pi)
+        rests = not first and bool(generator.random() < 0.5)
+        first = False
+        if rests:
+            return Start(position, (0.0, 0.0, 0.0))
+        heading = np.array([math.cos(direction), math.sin(direction), 0.0])
+        along = _tangential(heading, contact.normal)
+        velocity = speed * along / np.linalg.norm(along)
+        normal = np.asarray(contact.normal)
+        spin = rolling_share * np.cross(normal, velocity) / radius + side_spin * normal
+        return Start(position, _vector(velocity), _vector(spin))
+
+    return draw
+
+
+def _between(generator: np.random.Generator, low: float, high: float) -> float:
+    """Draw uniformly; walls without room for a ball are left to the scene's own check."""
+    return generator.uniform(min(low, high), max(low, high))
+
+
+def _log_uniform(generator: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(generator.uniform(math.log(low), math.log(high))))
 
 
 def _bowl_starts(

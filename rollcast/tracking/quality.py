@@ -24,7 +24,7 @@ class Gap(BaseModel):
     reason: Literal["not seen", "touched by something large"]
 
 
-class Encounter(BaseModel):
+class CloseApproach(BaseModel):
     """Two balls that were close, after which they may have been mistaken for each other."""
 
     balls: tuple[int, int]
@@ -65,7 +65,7 @@ class Quality(BaseModel):
     """Share of all frames and balls."""
     balls: list[BallQuality]
     gaps: list[Gap]
-    suspected_swaps: list[Encounter]
+    suspected_swaps: list[CloseApproach]
     jumps: list[Jump]
 
 
@@ -82,7 +82,7 @@ class Doubts:
     """
 
     touched: np.ndarray
-    encounters: list[Encounter]
+    encounters: list[CloseApproach]
 
 
 DOUBTFUL = 5.0

@@ -13,12 +13,12 @@ from scipy.optimize import linear_sum_assignment
 
 from rollcast.errors import FootageError
 from rollcast.footage import SquareCrop
+from rollcast.tracking.association import Identities, assign_identities, balls_in, palette_evidence
 from rollcast.tracking.background import background_of
 from rollcast.tracking.detection import BIN_WIDTHS, BINS, Detections, Detector, radius_of_balls
-from rollcast.tracking.identity import Identified, balls_in, identified, palette_evidence
-from rollcast.tracking.pieces import Piece, pieces_of
-from rollcast.tracking.quality import NEAR, Doubts, Encounter, Quality, quality_of, runs
+from rollcast.tracking.quality import NEAR, CloseApproach, Doubts, Quality, quality_of, runs
 from rollcast.tracking.smoothing import smoothed
+from rollcast.tracking.tracklets import Tracklet, link_tracklets
 from rollcast.tracking.tracks import Tracks
 from rollcast.video import every_frame
 
@@ -80,15 +80,15 @@ def track(
     background = background_of(samples)
     detector = Detector(background, radius_of_balls(background, samples))
     frames = [detector.detect(picture) for picture in _pictures(path, crop)]
-    pieces = pieces_of(frames, detector.radius_px)
-    if not 0 < len(pieces) < len(frames):
+    tracklets = link_tracklets(frames, detector.radius_px)
+    if not 0 < len(tracklets) < len(frames):
         raise FootageError(
-            f"{path}: {len(pieces)} things like balls come and go in {len(frames)} frames, "
+            f"{path}: {len(tracklets)} things like balls come and go in {len(frames)} frames, "
             "expected fewer than frames and at least one; --crop leaves out what else moves"
         )
-    count = balls or balls_in(pieces, len(frames), MOST_BALLS)
-    known = _ordered(identified(pieces, frames, count, detector.radius_px), like)
-    rows = _rows(pieces, known, len(frames), count)
+    count = balls or balls_in(tracklets, len(frames), MOST_BALLS)
+    known = _ordered(assign_identities(tracklets, frames, count, detector.radius_px), like)
+    rows = _rows(tracklets, known, len(frames), count)
     height, width = next(every_frame(path)).picture.shape[:2]
     corner = (0, 0) if crop is None else (crop.x, crop.y)
     tracks = _tracks(path.stem, (width, height), corner, times_s, frames, rows, known)
@@ -104,7 +104,7 @@ def _pictures(path: Path, crop: SquareCrop | None) -> Iterator[UInt8[np.ndarray,
         yield moment.picture if crop is None else crop.cut(moment.picture)
 
 
-def _ordered(found: Identified, like: Palettes | None) -> Identified:
+def _ordered(found: Identities, like: Palettes | None) -> Identities:
     """Put balls into the order of another clip's, or of their hues."""
     if like is None:
         order = np.argsort([_hue(palette) for palette in found.palettes])
@@ -112,7 +112,7 @@ def _ordered(found: Identified, like: Palettes | None) -> Identified:
         alike = np.minimum(like[:, None], found.palettes).sum(axis=-1)
         order = _best_order(alike)
     place = {int(ball): index for index, ball in enumerate(order)}
-    return Identified(
+    return Identities(
         [place.get(ball, -1) for ball in found.balls], found.palettes[order], found.value
     )
 
@@ -136,12 +136,12 @@ def _hue(palette: Float[np.ndarray, " colours"]) -> float:
     return float(np.arctan2(b, a) % (2 * np.pi))
 
 
-def _rows(pieces: Sequence[Piece], known: Identified, frames: int, balls: int) -> np.ndarray:
+def _rows(tracklets: Sequence[Tracklet], known: Identities, frames: int, balls: int) -> np.ndarray:
     """Index of each ball's detection in each frame, [frames, balls]; -1 in gaps."""
     rows = np.full((frames, balls), -1)
-    for piece, ball in zip(pieces, known.balls, strict=True):
+    for tracklet, ball in zip(tracklets, known.balls, strict=True):
         if ball >= 0:
-            rows[piece.first : piece.last + 1, ball] = piece.rows
+            rows[tracklet.first : tracklet.last + 1, ball] = tracklet.rows
     return rows
 
 
@@ -152,7 +152,7 @@ def _tracks(
     times_s: Float[np.ndarray, " frames"],
     frames: Sequence[Detections],
     rows: np.ndarray,
-    known: Identified,
+    known: Identities,
 ) -> Tracks:
     shape = rows.shape
     positions, radii = np.full((*shape, 2), np.nan), np.full(shape, np.nan)
@@ -195,7 +195,7 @@ def _hex(palette: Float[np.ndarray, " colours"]) -> str:
 
 def _encounters(
     tracks: Tracks, frames: Sequence[Detections], rows: np.ndarray, palettes: Palettes
-) -> Iterable[Encounter]:
+) -> Iterable[CloseApproach]:
     """Yield the times at which two balls were close, and what their colours say afterwards."""
     for one, other in combinations(range(tracks.balls), 2):
         apart = np.linalg.norm(tracks.positions_px[:, one] - tracks.positions_px[:, other], axis=-1)
@@ -215,7 +215,7 @@ def _encounters(
             kept = seen[0][:, one] + seen[1][:, other]
             swapped = seen[0][:, other] + seen[1][:, one]
             evidence = round(float((kept - swapped).sum()), 2)
-            yield Encounter(balls=(one, other), first=first, last=last, evidence=evidence)
+            yield CloseApproach(balls=(one, other), first=first, last=last, evidence=evidence)
 
 
 def _merged(times: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:

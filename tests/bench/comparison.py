@@ -1,6 +1,6 @@
 """The service beside other serving frameworks around the same ONNX files and the same requests.
 
-Each framework has an environment of its own (`make bench` builds them) and runs the same bare loop.
+The frameworks share an environment (`make bench` makes it) and run the same bare loop.
 """
 
 import os
@@ -22,6 +22,7 @@ from tests.bench.loop import CORES, MAX_BATCH, MODEL, ROOT
 from tests.bench.payloads import Kind, frames, payload
 
 CONNECTIONS = (1, 4, 16, 64)
+PYTHON = ROOT / ".venv/peers/bin/python"
 START_S = 120
 PREAMBLE = f"""## Beside other frameworks
 
@@ -38,19 +39,18 @@ are not 200 are failures.
 
 @dataclass(frozen=True)
 class Peer:
-    """Another framework: its name, its program in ``tests/bench/peers``, its environment."""
+    """Another framework: its name, its program in ``tests/bench/peers``, its payload."""
 
     name: str
     program: str
-    environment: str
     kind: Kind = "json"
 
 
 PEERS = (
-    Peer("plain FastAPI", "plain_fastapi", "peer-fastapi"),
-    Peer("LitServe", "lit", "peer-litserve"),
-    Peer("BentoML", "bento", "peer-bentoml", "listed"),
-    Peer("Ray Serve", "ray_serve", "peer-ray"),
+    Peer("plain FastAPI", "plain_fastapi"),
+    Peer("LitServe", "lit"),
+    Peer("BentoML", "bento", "listed"),
+    Peer("Ray Serve", "ray_serve"),
 )
 
 
@@ -135,10 +135,9 @@ def _running(peer: Peer) -> Iterator[tuple[str, psutil.Process]]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    python = ROOT / ".venv" / peer.environment / "bin" / "python"
     program = f"tests.bench.peers.{peer.program}"
     process = subprocess.Popen(
-        ["env", f"PYTHONPATH={ROOT}", python, "-m", program, str(port)],
+        ["env", f"PYTHONPATH={ROOT}", PYTHON, "-m", program, str(port)],
         cwd=ROOT,
         start_new_session=True,
         stdout=subprocess.DEVNULL,
@@ -165,7 +164,7 @@ def _wait(address: str, peer: Peer, process: subprocess.Popen[bytes]) -> None:
             time.sleep(0.5)
         else:
             return
-    raise RuntimeError(f"{peer.name} does not answer; its environment is .venv/{peer.environment}")
+    raise RuntimeError(f"{peer.name} does not answer; its environment is .venv/peers")
 
 
 def _first(address: str, kind: Kind) -> Any:

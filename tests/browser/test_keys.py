@@ -18,7 +18,7 @@ def guarded(tmp_path: Path):
     """Address of a service that asks for a key, and the key."""
     file = tmp_path / "keys.json"
     made = subprocess.run(
-        [SERVICE_PYTHON, "-m", "service.keys", "--file", file, "add", "page"],
+        [SERVICE_PYTHON, "-m", "service.auth", "--file", file, "add", "page"],
         cwd=ROOT,
         capture_output=True,
         text=True,

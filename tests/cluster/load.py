@@ -11,7 +11,7 @@ import httpx2
 import numpy as np
 
 from rollcast.client import Client, Simulation
-from rollcast.http import REPLICA_HEADER, REQUEST_ID_HEADER
+from rollcast.schemas import REPLICA_HEADER, REQUEST_ID_HEADER
 from tests.cluster.nodes import wait_until
 
 MODEL = "fieldnet"

@@ -13,7 +13,7 @@ import ray
 from ray import serve
 from ray.cluster_utils import Cluster
 
-from service.cluster import Replica
+from service.process.ray_serve import Replica
 
 REPLICAS = 6
 APPLICATION = "rollcast"

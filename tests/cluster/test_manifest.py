@@ -1,5 +1,6 @@
 """KubeRay's manifest holds what Ray Serve itself accepts, and deploys what the tests deploy."""
 
+import tomllib
 from pathlib import Path
 
 import ray
@@ -7,11 +8,11 @@ import yaml
 from ray._common.utils import import_attr
 from ray.serve.schema import ServeDeploySchema
 
-from service.cluster import Replica
+from service.process.ray_serve import Replica
 from tests.e2e.conftest import ROOT
 
 MANIFEST = ROOT / "docker" / "kubernetes" / "ray.yaml"
-LOCK = ROOT / "requirements" / "ray.txt"
+LOCK = ROOT / "uv.lock"
 
 
 def manifest(path: Path = MANIFEST):
@@ -29,13 +30,9 @@ def test_ray_serve_accepts_the_configuration():
 
 def test_the_cluster_has_the_rays_version_of_its_image():
     assert manifest()["rayClusterConfig"]["rayVersion"] == ray.__version__
-    assert f"ray=={ray.__version__} " in LOCK.read_text()
-
-
-def test_ray_is_in_the_locks_that_name_it_alone():
-    with_ray = {
-        path.stem
-        for path in LOCK.parent.glob("*.txt")
-        if any(line.startswith("ray==") for line in path.read_text().splitlines())
-    }
-    assert with_ray == {"ray", "cluster", "peer-ray"}
+    locked = [
+        package["version"]
+        for package in tomllib.loads(LOCK.read_text())["package"]
+        if package["name"] == "ray"
+    ]
+    assert locked == [ray.__version__]

@@ -12,7 +12,7 @@ from ray.cluster_utils import Cluster
 
 from tests.cluster.nodes import node
 from tests.e2e.conftest import ROOT
-from training.simulate import SHARD_SCENES, Source, in_processes, make_missing, split_shards
+from training.data.shards import SHARD_SCENES, Source, in_processes, make_missing, split_shards
 
 SHARDS = 4
 

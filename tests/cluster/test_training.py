@@ -11,12 +11,12 @@ import numpy as np
 import psutil
 import pytest
 
+from tests.training.common.test_distributed import PACE, Noted
 from tests.training.conftest import tiny
-from tests.training.test_crew import PACE, Noted
-from training.campaign import Line, Outcome, Round
-from training.cluster import train_rounds, train_together
+from training.engine.trainer import CHECKPOINT
+from training.orchestration.campaign import Line, Outcome, Round
+from training.orchestration.ray_backend import train_rounds, train_together
 from training.recipes.compact import one_ball
-from training.trainer import CHECKPOINT
 
 BATCHES = 60
 

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from tests.service.test_refusals import PREDICT
+from tests.service.http.test_refusals import PREDICT
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rollcast.client import AsyncClient
-from rollcast.errors import RefusedError
+from rollcast.errors import BadRequestError
 from service.app import create_app
 from service.settings import Settings
 from tests.service import samples
@@ -49,9 +49,9 @@ def test_a_forecast_and_its_stream(tmp_path):
 def test_refusals_and_models(tmp_path):
     async def scenario():
         async with connected(tmp_path) as client:
-            with pytest.raises(RefusedError, match="404"):
+            with pytest.raises(BadRequestError, match="404"):
                 await client.predict(FRAMES, model="nobody")
-            with pytest.raises(RefusedError) as caught:
+            with pytest.raises(BadRequestError) as caught:
                 await anext(client.predict_stream(FRAMES, horizon=0))
             assert caught.value.problem.field == "horizon"
             assert (await client.model("dot")).version == 1

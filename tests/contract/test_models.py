@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rollcast.familiarity import look
 from rollcast.manifest import FRAMES_INPUT, GOLDEN_FILE, MANIFEST_FILE, Manifest
-from service.rollout import Step, assemble, roll_out
-from service.runtime import OnnxPredictor
+from rollcast.ood import frame_stats
+from service.inference.onnx_runtime import OnnxPredictor
+from service.inference.rollout import Step, assemble, roll_out
 from service.settings import Settings
 
 FOLDERS = sorted(path.parent for path in Settings().models_dir.glob("*/*/manifest.json"))
@@ -113,5 +113,5 @@ def test_golden_frames_look_familiar_and_their_negatives_do_not(predictor, frame
         return
     assert known.false_alarm_rate <= 0.02
     for seen in frames:
-        assert familiarity.score(look(seen)) <= known.threshold
-        assert familiarity.score(look(255 - seen)) > known.threshold
+        assert familiarity.score(frame_stats(seen)) <= known.threshold
+        assert familiarity.score(frame_stats(255 - seen)) > known.threshold

@@ -16,7 +16,9 @@ SERVER = "is the server that the other blocks ask"
 DOCKER = "needs a Docker engine; make image-test builds and runs the images"
 CLUSTER = "needs a cluster; make image-test judges the manifests, make cluster-test runs Ray"
 TRACKS = "tracks three clips for minutes; tests/rollcast/tracking does so with small ones"
-TRAINED = "needs a model that was trained on clips; tests/training/test_rig_export.py serves one"
+TRAINED = (
+    "needs a model that was trained on clips; tests/training/export/test_footage.py serves one"
+)
 HOURS = "works for minutes to days; its arguments are parsed"
 MAKES = "makes environments, then runs for minutes"
 
@@ -28,7 +30,7 @@ NOT_RUN = {
     ("deployment.md", "export ROLLCAST_KEYS_FILE=keys.json"): SERVER,
     ("deployment.md", "docker build -f docker/service.Dockerfile -t rollcast-service ."): DOCKER,
     ("deployment.md", "kubectl create secret generic rollcast-keys --from-file=keys.json"): CLUSTER,
-    ("deployment.md", "serve run service.cluster:application"): CLUSTER,
+    ("deployment.md", "serve run service.process.ray_serve:application"): CLUSTER,
     ("research.md", "python -m training simulate hemisphere --scenes 1000 --split training"): HOURS,
     (
         "research.md",
@@ -46,10 +48,7 @@ NOT_RUN = {
     ): HOURS,
     ("rig.md", "python -m training rig rig-2-balls-continued --data rig"): HOURS,
     ("rig.md", "rollcast predict clip3.mp4 --start 2 --model table --out forecast.mp4"): TRAINED,
-    (
-        "rig.md",
-        'forecast = client.predict(frames, model="table")  # four frames, cut as in setup.json',
-    ): TRAINED,
+    ("rig.md", "from rollcast.client import Client"): TRAINED,
 }
 """By page and first line. Nothing else is left out."""
 

@@ -4,7 +4,7 @@ import re
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -21,12 +21,14 @@ SERVICE_PYTHON = ROOT / ".venv/service/bin/python"
 
 
 def start_service(
-    log: IO[str] | int = subprocess.DEVNULL, **settings: str
+    log: IO[str] | int = subprocess.DEVNULL,
+    command: Sequence[str | Path] = (SERVICE_PYTHON, "-m", "service"),
+    **settings: str,
 ) -> tuple[subprocess.Popen[str], str]:
     """Start the service on a free port; return the process and its address."""
     variables = [f"{name}={value}" for name, value in settings.items()]
     process = subprocess.Popen(
-        ["env", *variables, SERVICE_PYTHON, "-m", "service", "--port", "0"],
+        ["env", *variables, *command, "--port", "0"],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=log,

@@ -17,7 +17,7 @@ from rollcast.scene import SCENARIOS, Scenario
 from rollcast.simulation.recording import TEST_START, Simulator
 from rollcast.simulation.rendering import Renderer
 from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ, OBSERVED_FRAMES, Trajectory
-from training.splits import seeds
+from training.data.splits import seeds
 
 SIDE = 256
 STEPS = 20

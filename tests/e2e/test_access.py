@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rollcast.client import Client
-from rollcast.errors import DeniedError
+from rollcast.errors import AuthError
 from tests.e2e.conftest import (
     ROOT,
     SERVICE_PYTHON,
@@ -19,7 +19,7 @@ from tests.e2e.conftest import (
 
 def keys(file: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [SERVICE_PYTHON, "-m", "service.keys", "--file", file, *arguments],
+        [SERVICE_PYTHON, "-m", "service.auth", "--file", file, *arguments],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -31,7 +31,7 @@ def refused(address: str, token: str | None) -> bool:
     with Client(address, api_key=token) as client:
         try:
             client.models()
-        except DeniedError:
+        except AuthError:
             return True
     return False
 

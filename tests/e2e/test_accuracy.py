@@ -6,7 +6,7 @@ import pytest
 from rollcast.client import Client, Simulation
 from rollcast.scene import SCENARIOS
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
-from training.splits import seeds
+from training.data.splits import seeds
 
 SCENES = 60
 HORIZON = 20

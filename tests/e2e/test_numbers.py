@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from rollcast.client import Client
-from rollcast.http import ModelEntry
+from rollcast.schemas import ModelEntry
 
 TOGETHER_PX = 1e-2
 """Requests that share a batch may differ by so much from the same ones alone."""

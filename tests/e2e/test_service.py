@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rollcast.client import Client
-from rollcast.errors import RefusedError
+from rollcast.errors import BadRequestError
 from tests.e2e.conftest import ROOT, start_service, stop_service, wait_until_ready
 
 
@@ -53,7 +53,7 @@ def test_larger_frames_are_answered_in_their_own_pixels(client):
 def test_frames_may_be_cropped(client):
     scene = client.simulate("hemisphere", seed=11, steps=4)
     wide = np.pad(scene.frames, ((0, 0), (0, 0), (32, 32), (0, 0)))
-    with pytest.raises(RefusedError) as caught:
+    with pytest.raises(BadRequestError) as caught:
         client.predict(wide)
     assert caught.value.problem.value == "192 x 128"
     cropped = client.predict(wide, crop="square")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rollcast.client import Client
-from rollcast.errors import ServiceFailedError, UnreachableError
+from rollcast.errors import ServerError, UnreachableError
 from tests.e2e.conftest import held, start_service, stop_service, wait_until_ready
 
 LONGEST_HORIZON = 1000
@@ -72,7 +72,7 @@ def test_nothing_new_is_begun_while_it_drains():
             partial(client.predict, frames),
             partial(client.simulate, "hemisphere", seed=1),
         ):
-            with pytest.raises(ServiceFailedError) as refused:
+            with pytest.raises(ServerError) as refused:
                 ask()
             assert refused.value.problem.type == "/problems/not-ready"
     assert stop_service(process) in {0, -signal.SIGTERM}

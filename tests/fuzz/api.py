@@ -14,7 +14,7 @@ from collections import Counter
 from pathlib import Path
 
 from rollcast.client import Client
-from service.keyring import Key, KeyFile, digest, new_token
+from service.auth.api_keys import Key, KeyFile, digest, new_token
 from tests.e2e.conftest import ROOT, start_service, stop_service, wait_until_ready
 
 LEAST_CASES = 5000

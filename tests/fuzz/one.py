@@ -1,4 +1,4 @@
-"""``python -m tests.fuzz.one TARGET FOLDER [options of libFuzzer]``: fuzz one target (.venv/fuzz).
+"""``python -m tests.fuzz.one TARGET FOLDER [options of libFuzzer]``: fuzz one target (.venv/tools).
 
 Writes into FOLDER what it has found so far, and ``memory.json``: resident memory now and then.
 """

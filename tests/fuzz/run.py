@@ -19,6 +19,7 @@ EXECUTIONS = {
     "multipart": 200_000,
     "frames": 300_000,
     "app": 100_000,
+    "cost": 100_000,
 }
 ALLOWED_GROWTH_MIB = 64.0
 """After the first quarter: libFuzzer's own corpus grows too, most at first."""

@@ -10,28 +10,30 @@ import io
 import json
 import struct
 import tempfile
+import time
+import tracemalloc
 import warnings
 import zlib
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, NoReturn
 
 import numpy as np
 from PIL import Image
 from pydantic import ValidationError
-from starlette.requests import Request
 
-from rollcast.http import PredictRequest
 from rollcast.manifest import Manifest
+from rollcast.schemas import PredictRequest
 from service.app import create_app
-from service.bodies import parse_json, read_form
 from service.errors import ServiceError
-from service.images import decode_frames
-from service.problems import document
-from service.protocol import InferRequest
+from service.http.image_decoding import decode_frames
+from service.http.oip.schemas import InferRequest
+from service.http.oip.tensors import read_query, split
+from service.http.problem_details import document
+from service.http.request_body import parse_form, parse_json
+from service.http.routes.predict import FILES, LISTS
 from service.settings import Settings
-from service.tensors import read_query, split
 from tests.service import samples
 
 Target = Callable[[bytes], None]
@@ -42,7 +44,6 @@ SCRATCH.mkdir(exist_ok=True)
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 LONGEST_REFUSAL = 8000
 SETTINGS = Settings(models_dir=SCRATCH, max_body_bytes=2**20)
-ANY_APP = SimpleNamespace(state=SimpleNamespace(service=SimpleNamespace(settings=SETTINGS)))
 
 
 class SmallManifest(Manifest):
@@ -65,26 +66,17 @@ def frames(data: bytes) -> None:
 
 
 def multipart(data: bytes) -> None:
-    """A content type, a line feed, a body that comes in pieces."""
+    """A content type, a line feed, a body."""
     kind, _, content = data.partition(b"\n")
-    pieces = [content[start : start + 97] for start in range(0, len(content), 97)]
-    messages = [{"type": "http.request", "body": piece, "more_body": True} for piece in pieces]
-    messages.append({"type": "http.request", "body": b"", "more_body": False})
-    rest = iter(messages)
-
-    async def receive() -> dict[str, Any]:
-        return next(rest)
-
-    scope = {
-        "type": "http",
-        "method": "POST",
-        "path": "/predict",
-        "headers": [(b"content-type", kind)],
-        "app": ANY_APP,
-    }
     with refusals():
-        form = read_form(Request(scope, receive), PredictRequest, frozenset({"frames"}))
-        request = LOOP.run_until_complete(form)
+        request = parse_form(
+            content,
+            kind.decode("latin-1"),
+            PredictRequest,
+            files=FILES,
+            lists=LISTS,
+            check=lambda: None,
+        )
         assert len(request.frames) == 4
 
 
@@ -132,7 +124,7 @@ class App:
         LOOP.run_until_complete(self._lifespan.__aenter__())
         while self._app.state.service.phase != "serving":
             LOOP.run_until_complete(asyncio.sleep(0.01))
-        self._app.state.service.simulation.run = _nothing_is_simulated
+        self._app.state.service.simulation.submit = _nothing_is_simulated
 
     def __call__(self, data: bytes) -> None:
         """Post a body; its first byte tells where, its second how long the JSON is said to be."""
@@ -189,8 +181,10 @@ class App:
         return start["status"], dict(start["headers"]), content
 
 
-async def _nothing_is_simulated(*_: object) -> str:
-    return "{}"
+def _nothing_is_simulated(*_: object) -> Future[bytes]:
+    done: Future[bytes] = Future()
+    done.set_result(b"{}")
+    return done
 
 
 @contextlib.contextmanager
@@ -230,12 +224,49 @@ def with_checksums(data: bytes) -> bytes:
     return bytes(repaired)
 
 
+class Cost:
+    """What reading costs: the first byte of an input chooses the reader of the others.
+
+    Fails when time or memory go beyond a fixed part and so much for every byte. The worst so far
+    stands in ``cost.json``.
+    """
+
+    ALLOWED_S, ALLOWED_S_PER_BYTE = 0.5, 50e-6
+    ALLOWED_BYTES, ALLOWED_BYTES_PER_BYTE = 400 * 2**20, 200
+    """The fixed part is what a frame of 4096 pixels takes, whatever its file weighs."""
+
+    def __init__(self) -> None:
+        self._readers: list[Target] = [frames, multipart, tensors, manifest, App()]
+        self._worst_s = self._worst_bytes = 0.0
+        tracemalloc.start()
+
+    def __call__(self, data: bytes) -> None:
+        """Read an input and measure."""
+        if len(data) < 2:
+            return
+        index = data[0] % len(self._readers)
+        tracemalloc.reset_peak()
+        before, _ = tracemalloc.get_traced_memory()
+        began = time.process_time()
+        self._readers[index](data[1:])
+        seconds = time.process_time() - began
+        memory = tracemalloc.get_traced_memory()[1] - before
+        assert seconds < self.ALLOWED_S + self.ALLOWED_S_PER_BYTE * len(data), seconds
+        assert memory < self.ALLOWED_BYTES + self.ALLOWED_BYTES_PER_BYTE * len(data), memory
+        if seconds > self._worst_s or memory > self._worst_bytes:
+            self._worst_s = max(seconds, self._worst_s)
+            self._worst_bytes = max(memory, self._worst_bytes)
+            worst = {"seconds": round(self._worst_s, 4), "bytes": int(self._worst_bytes)}
+            (SCRATCH / "cost.json").write_text(json.dumps(worst))
+
+
 TARGETS: Mapping[str, Callable[[], Target]] = {
     "frames": lambda: frames,
     "multipart": lambda: multipart,
     "tensors": lambda: tensors,
     "manifest": lambda: manifest,
     "app": App,
+    "cost": Cost,
 }
 
 
@@ -294,6 +325,11 @@ def seeds(target: str) -> list[bytes]:
                 samples.manifest().model_dump_json().encode(),
                 samples.manifest(covariance=samples.EMPIRICAL).model_dump_json().encode(),
                 samples.manifest(frames=5, final_step=9).model_dump_json().encode(),
+            ]
+        case "cost":
+            readers = ("frames", "multipart", "tensors", "manifest", "app")
+            return [
+                bytes([index]) + seed for index, name in enumerate(readers) for seed in seeds(name)
             ]
         case _:
             predict = json.dumps(samples.body(horizon=2)).encode()

@@ -13,7 +13,7 @@ IMAGE = "rollcast-ray:test"
 START_S = 120
 PROGRAM = """
 from ray import serve
-from service.cluster import application
+from service.process.ray_serve import application
 serve.start("HeadOnly", {{"host": "127.0.0.1", "port": {port}}})
 serve.run(application({{}}), route_prefix="/", blocking=True)
 """

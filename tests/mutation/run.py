@@ -30,8 +30,8 @@ LONGEST_S = 20
 MODULES = {
     "rollcast.camera": ["tests/rollcast/test_camera.py"],
     "rollcast.manifest": ["tests/rollcast/test_manifest.py"],
-    "service.rollout": ["tests/service/test_rollout.py"],
-    "service.problems": ["tests/service/test_problems.py"],
+    "service.inference.rollout": ["tests/service/inference/test_rollout.py"],
+    "service.http.problem_details": ["tests/service/http/test_problem_details.py"],
 }
 PYTEST_OPTIONS = (
     *("-x", "-q", "--tb=no", "-p", "no:cacheprovider", "--noconftest"),

@@ -11,8 +11,8 @@ def client(request):
     """Makes a client of a service; each test is made with both."""
     opened = ExitStack()
 
-    def connect(service, retries=0):
-        made = request.param("http://rollcast.test", transport=service, retries=retries)
+    def connect(service, retries=0, **options):
+        made = request.param("http://rollcast.test", transport=service, retries=retries, **options)
         return opened.enter_context(made)
 
     with opened:

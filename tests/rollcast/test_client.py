@@ -12,11 +12,11 @@ from PIL import Image
 from rollcast.client import Client
 from rollcast.client.images import decoded, encoded
 from rollcast.errors import (
-    BusyError,
+    AuthError,
+    BadRequestError,
     ClientError,
-    DeniedError,
-    RefusedError,
-    ServiceFailedError,
+    OverloadedError,
+    ServerError,
     UnexpectedAnswerError,
     UnreachableError,
 )
@@ -153,12 +153,12 @@ def test_what_is_no_frame_is_refused_here(frame, error, message):
 @pytest.mark.parametrize(
     ("status", "kind"),
     [
-        (400, RefusedError),
-        (401, DeniedError),
-        (403, DeniedError),
-        (404, RefusedError),
-        (422, RefusedError),
-        (503, ServiceFailedError),
+        (400, BadRequestError),
+        (401, AuthError),
+        (403, AuthError),
+        (404, BadRequestError),
+        (422, BadRequestError),
+        (503, ServerError),
     ],
 )
 def test_a_problem_document_is_raised(client, status, kind):
@@ -185,7 +185,7 @@ def test_a_key_goes_with_every_call():
 
 def test_a_full_queue_says_when_to_come_back(client):
     service = Service(PROBLEM | {"status": 429}, 429, {"retry-after": "3"})
-    with pytest.raises(BusyError) as caught:
+    with pytest.raises(OverloadedError) as caught:
         client(service).models()
     assert caught.value.retry_after_s == 3
 
@@ -227,7 +227,7 @@ def test_what_would_fail_again_is_raised_at_once(client, failure):
 
 def test_a_client_gives_up(client):
     service = Faltering({"models": []}, [failure() for failure in PASSING.values()])
-    with pytest.raises(BusyError):
+    with pytest.raises(OverloadedError):
         client(service, retries=2).models()
     assert service.request is None
     assert len(service.ids) == 3
@@ -317,5 +317,5 @@ def test_a_simulation_is_arrays_and_its_scene_goes_back(client):
     np.testing.assert_array_equal(simulation.frames, FRAME[None].repeat(4, axis=0))
     assert simulation.positions.shape == (1, 4, 2)
     assert simulation.angular_velocities.shape == (1, 4, 3)
-    client(service).simulate(scene=simulation.scene)
+    client(service).simulate(scene=simulation.scene, steps=4)
     assert json.loads(service.body)["scene"] == json.loads(simulation.scene.model_dump_json())

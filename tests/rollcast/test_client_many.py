@@ -11,7 +11,7 @@ import pytest
 
 from rollcast.client import AsyncClient
 from rollcast.client.testing import FakeService
-from rollcast.errors import RefusedError
+from rollcast.errors import BadRequestError
 
 SIDES = [32 + 2 * index for index in range(12)]
 SEQUENCES = [np.zeros((4, side, side, 3), np.uint8) for side in SIDES]
@@ -77,7 +77,7 @@ def test_every_sequence_may_have_its_final_frame(client):
 def test_the_first_that_fails_ends_them_all(client):
     wide = np.zeros((4, 48, 64, 3), np.uint8)
     service = Counting(2)
-    with pytest.raises(RefusedError, match="square"):
+    with pytest.raises(BadRequestError, match="square"):
         client(service).predict_many([SEQUENCES[0], wide, *SEQUENCES * 20], concurrency=2)
     assert service.asked < 200
     assert service.waiting == 0

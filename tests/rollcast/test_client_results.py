@@ -1,17 +1,20 @@
 """What becomes of results: data frames and pictures."""
 
+import io
 import subprocess
 import sys
 
+import av
 import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
 
-from rollcast.client import Client
+from rollcast.client import Client, Forecast
 from rollcast.client.testing import FakeService
 from rollcast.errors import MissingExtraError, RollcastError
-from rollcast.plot import OVERVIEW_PX, PANEL_PX
+from rollcast.plot import FILM_PX, OVERVIEW_PX, PANEL_PX
+from rollcast.schemas import PredictResponse
 
 SIDE = 64
 
@@ -121,3 +124,92 @@ def test_a_true_path(scene):
         unseen = client.simulate("hemisphere", seed=1, include_frames=False)
     with pytest.raises(ValueError, match="has no frames"):
         unseen.plot()
+
+
+@pytest.mark.parametrize("suffix", ["png", "JPG", "webp"])
+def test_a_forecast_is_saved_as_a_picture(forecast, scene, tmp_path, suffix):
+    path = tmp_path / f"forecast.{suffix}"
+    forecast.save(path, scene.frames[3:])
+    with Image.open(path) as picture:
+        assert picture.size == (OVERVIEW_PX + 3 * PANEL_PX, OVERVIEW_PX)
+    forecast.save(str(path))
+    with Image.open(path) as picture:
+        assert picture.size == (OVERVIEW_PX, OVERVIEW_PX)
+
+
+@pytest.mark.parametrize("suffix", ["mp4", "gif"])
+def test_a_forecast_is_saved_as_a_video_of_every_step(forecast, scene, tmp_path, suffix):
+    path = tmp_path / f"forecast.{suffix}"
+    forecast.save(path, scene.frames[3:13])
+    with av.open(path) as container:
+        pictures = [picture.to_ndarray(format="rgb24") for picture in container.decode(video=0)]
+    assert len(pictures) == 40
+    assert {picture.shape for picture in pictures} == {(FILM_PX, FILM_PX, 3)}
+    # The ball of the frames is where it was in the last of them.
+    x, y = (scene.positions[0, 12] * FILM_PX / SIDE).astype(int)
+    assert pictures[-1][y, x, 0] > 150 > pictures[0][y, x, 0]
+    # Without frames the path is drawn on a plain ground.
+    forecast.save(path)
+    with av.open(path) as container:
+        last = [picture.to_ndarray(format="rgb24") for picture in container.decode(video=0)][-1]
+    x, y = (forecast.positions[0, 39] * FILM_PX / SIDE).astype(int)
+    assert last[y - 8 : y + 8, x - 8 : x + 8].max() > 150
+    assert last[FILM_PX - 8 :, :8].max() < 60
+
+
+def test_a_forecast_is_saved_as_json_that_makes_it_again(forecast, tmp_path):
+    path = tmp_path / "forecast.json"
+    forecast.save(path)
+    again = Forecast.from_response(PredictResponse.model_validate_json(path.read_text()))
+    assert path.read_text() == forecast.to_json() + "\n"
+    for name in ("positions", "covariances", "half_radii", "angular_velocities", "times_s"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(forecast, name))
+    assert (again.colors, again.model, again.warnings) == (
+        forecast.colors,
+        forecast.model,
+        forecast.warnings,
+    )
+    assert again.frame_size == forecast.frame_size
+
+
+def test_a_forecast_is_saved_as_the_rows_of_its_data_frame(forecast, tmp_path):
+    forecast.save(tmp_path / "forecast.csv")
+    pd.testing.assert_frame_equal(
+        pd.read_csv(tmp_path / "forecast.csv"),
+        forecast.to_dataframe(),
+        check_dtype=False,
+    )
+
+
+def test_a_forecast_is_saved_as_nothing_else(forecast, tmp_path):
+    with pytest.raises(ValueError, match=r"ends in '\.txt', expected one of \.png"):
+        forecast.save(tmp_path / "forecast.txt")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_notebooks_show_a_forecast(forecast):
+    with Image.open(io.BytesIO(forecast._repr_png_())) as picture:
+        assert picture.size == (OVERVIEW_PX, OVERVIEW_PX)
+        assert len(set(picture.convert("L").tobytes())) > 10, "the path is drawn"
+
+
+def test_numbers_of_numpy_are_numbers(scene):
+    service = FakeService()
+    with Client(transport=service) as client:
+        again = client.simulate(
+            "ellipsoid",
+            seed=np.int64(1),
+            objects=np.uint8(2),
+            steps=np.int32(5),
+            image_size=np.int64(SIDE),
+            textured=np.bool_(False),
+            scene={"radius_m": np.float32(0.1), "positions_m": np.zeros((2, 3))},
+        )
+        forecast = client.predict(
+            again.frames[:4], horizon=np.int64(7), objects=np.int8(2), frame_rate=np.float32(20)
+        )
+    assert forecast.positions.shape == (2, 7, 2)
+    assert forecast.frame_rate == 20
+    assert service.asked[0].fields["seed"] == 1
+    assert service.asked[0].fields["scene"]["positions_m"] == [[0, 0, 0], [0, 0, 0]]
+    assert service.asked[1].fields["horizon"] == "7"

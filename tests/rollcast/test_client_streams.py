@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from rollcast.client.testing import FakeService
-from rollcast.errors import BusyError, RefusedError, UnexpectedAnswerError, UnreachableError
+from rollcast.errors import (
+    BadRequestError,
+    OverloadedError,
+    UnexpectedAnswerError,
+    UnreachableError,
+)
 from tests.rollcast.clients import PROBLEM, Arriving, problem
 
 FRAMES = np.zeros((4, 48, 48, 3), np.uint8)
@@ -161,12 +166,12 @@ def test_after_its_first_step_it_is_not(client):
 
 
 def test_a_refusal_before_the_first_step_is_raised_as_by_predict(client):
-    with pytest.raises(RefusedError) as caught:
+    with pytest.raises(BadRequestError) as caught:
         list(client(Streaming(problem(422))).predict_stream(FRAMES))
     assert caught.value.problem.field == "horizon"
     busy = problem(429, {"retry-after": "3"})
     with (
-        pytest.raises(BusyError) as full,
+        pytest.raises(OverloadedError) as full,
         client(Streaming(busy)).predict_stream(FRAMES),
     ):
         pass
@@ -177,7 +182,7 @@ def test_a_refusal_before_the_first_step_is_raised_as_by_predict(client):
 def test_an_error_event_is_raised(client, steps):
     service = Streaming([step(index) for index in range(steps)] + [event("error", **PROBLEM)])
     arrived = []
-    with pytest.raises(RefusedError, match="expected more"):
+    with pytest.raises(BadRequestError, match="expected more"):
         arrived.extend(client(service).predict_stream(FRAMES))
     assert service.answers[0].closed
 

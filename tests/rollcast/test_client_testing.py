@@ -8,9 +8,9 @@ import pytest
 import rollcast.client.testing
 from rollcast.client import Client
 from rollcast.client.testing import FakeService
-from rollcast.errors import BusyError, RefusedError
-from rollcast.http import Problem
+from rollcast.errors import BadRequestError, OverloadedError
 from rollcast.scene import SCENARIOS
+from rollcast.schemas import Problem
 from tests.rollcast.clients import PROBLEM
 
 FRAMES = np.zeros((4, 64, 64, 3), np.uint8)
@@ -44,9 +44,10 @@ def test_its_scenes_have_a_ground_where_it_is_asked_for(client, scenario):
     heights = scene.surface.heights_m
     assert (heights.dtype, heights.shape) == (np.float64, (9, 9))
     outside = np.isnan(heights)
-    assert outside[0, 0] == (scenario != "heightfield")
+    bowl = scenario in ("hemisphere", "ellipsoid")
+    assert outside[0, 0] == bowl
     assert not outside[4, 4]
-    assert scene.surface.half_width_m == (1.25 if scenario == "heightfield" else 1.05)
+    assert scene.surface.half_width_m == (1.05 if bowl else 1.25)
 
 
 @pytest.mark.parametrize("path", [[[1, 2], [3, 4], [5, 6]], [[[1, 2], [3, 4], [5, 6]]]], ids=len)
@@ -56,9 +57,9 @@ def test_forecasts_may_be_chosen(client, path):
     assert forecast.positions.tolist() == [[[1, 2], [3, 4], [5, 6]]]
     assert forecast.covariances[0, 2].tolist() == [[9, 0], [0, 9]]
     assert connected.predict(FRAMES, horizon=2).positions.shape == (1, 2, 2)
-    with pytest.raises(RefusedError, match="at most 3"):
+    with pytest.raises(BadRequestError, match="at most 3"):
         connected.predict(FRAMES, horizon=4)
-    with pytest.raises(RefusedError, match="objects: expected 1"):
+    with pytest.raises(BadRequestError, match="objects: expected 1"):
         connected.predict(FRAMES, objects=2)
 
 
@@ -67,10 +68,10 @@ def test_problems_may_be_chosen_and_pass(client):
     service = FakeService(problem=full)
     connected = client(service)
     for ask in (connected.models, lambda: connected.predict(FRAMES)):
-        with pytest.raises(BusyError) as caught:
+        with pytest.raises(OverloadedError) as caught:
             ask()
         assert caught.value.problem == full
-    with pytest.raises(BusyError):
+    with pytest.raises(OverloadedError):
         list(connected.predict_stream(FRAMES))
     service.problem = None
     assert connected.predict(FRAMES).positions.shape == (1, 40, 2)
@@ -102,7 +103,7 @@ def test_it_keeps_what_it_was_asked(client):
     ids=["horizon", "three frames", "not square", "scenario", "no seed", "no model"],
 )
 def test_what_the_service_would_refuse_it_refuses(client, ask, message):
-    with pytest.raises(RefusedError, match=message):
+    with pytest.raises(BadRequestError, match=message):
         ask(client(FakeService()))
 
 

@@ -19,7 +19,7 @@ from rollcast.__main__ import main
 from rollcast.client import Client
 from rollcast.client.testing import FakeService
 from rollcast.commands.serve import container_command, is_checkout
-from rollcast.http import ModelEntry, ModelList, Problem
+from rollcast.schemas import ModelEntry, ModelList, Problem
 from tests.rollcast.clients import PROBLEM
 
 COMMANDS = ["serve", "predict", "simulate", "models", "doctor"]
@@ -38,17 +38,26 @@ def run(capsys):
     return run
 
 
-def test_a_key_may_be_given_or_stand_in_the_environment(capsys, monkeypatch):
+def test_key_and_address_may_be_given_or_stand_in_the_environment(capsys, monkeypatch):
     seen = []
 
-    def connect(url, api_key=None):
-        seen.append(api_key)
-        return Client(url, transport=FakeService())
+    def answer(request):
+        seen.append((request.url.host, request.headers.get("authorization")))
+        return httpx2.Response(200, json={"models": []})
 
-    assert main(["--api-key", "given", "models"], connect) == 0
-    monkeypatch.setenv("ROLLCAST_API_KEY", "standing")
+    def connect(url=None, api_key=None):
+        return Client(url, api_key=api_key, transport=httpx2.MockTransport(answer))
+
     assert main(["models"], connect) == 0
-    assert seen == ["given", "standing"]
+    monkeypatch.setenv("ROLLCAST_API_KEY", "standing")
+    monkeypatch.setenv("ROLLCAST_URL", "http://robot:8000")
+    assert main(["models"], connect) == 0
+    assert main(["--api-key", "given", "models", "--url", "http://other"], connect) == 0
+    assert seen == [
+        ("127.0.0.1", None),
+        ("robot", "Bearer standing"),
+        ("other", "Bearer given"),
+    ]
 
 
 def test_a_scene_is_told(run):
@@ -274,8 +283,8 @@ Usage: rollcast [OPTIONS] COMMAND [ARGS]...
   `rollcast --install-completion` completes commands and options in your shell.
 
 Options:
-  --api-key KEY         for a service that asks for an API key; better in the environment than
-                        here  [env var: ROLLCAST_API_KEY]
+  --api-key KEY         API key, for a service that asks for one; better in the environment, as
+                        ROLLCAST_API_KEY
   --install-completion  Install completion for the current shell.
   --show-completion     Show completion for the current shell, to copy it or customize the
                         installation.
@@ -331,7 +340,8 @@ Options:
   --objects BALLS                 how many balls there are (default: the model's, with auto 1)
   --scenario <hemisphere|ellipsoid|heightfield|footage>
                                   let auto choose among models made for it
-  --url ADDRESS                   address of the service  [default: http://127.0.0.1:8000]
+  --url ADDRESS                   address of the service (default: ROLLCAST_URL, else
+                                  http://127.0.0.1:8000)
   --format <table|json|csv>       how to print it  [default: table]
   --out FILE                      draw over the footage: a picture (.png, .jpg, .webp), or frame
                                   by frame (.mp4, .webm, .gif)
@@ -359,7 +369,8 @@ Options:
   --objects BALLS            how many balls there are  [default: 1]
   --steps STEPS              frames, 40 a second  [default: 44]
   --size PIXELS              side of the frames  [default: 128]
-  --url ADDRESS              address of the service  [default: http://127.0.0.1:8000]
+  --url ADDRESS              address of the service (default: ROLLCAST_URL, else
+                             http://127.0.0.1:8000)
   --format <table|json|csv>  how to print it  [default: table]
   --out FOLDER|FILE          an empty or new folder for the frames, the truth and the scene; or a
                              film of the frames (.mp4, .webm, .gif)
@@ -379,7 +390,8 @@ Usage: rollcast models [OPTIONS]
     rollcast models --format json
 
 Options:
-  --url ADDRESS          address of the service  [default: http://127.0.0.1:8000]
+  --url ADDRESS          address of the service (default: ROLLCAST_URL, else
+                         http://127.0.0.1:8000)
   --format <table|json>  how to print it  [default: table]
   -h, --help             Show this message and exit.
 """)
@@ -396,7 +408,8 @@ Usage: rollcast doctor [OPTIONS]
     rollcast doctor --url http://robot:8000 --format json
 
 Options:
-  --url ADDRESS          address of the service  [default: http://127.0.0.1:8000]
+  --url ADDRESS          address of the service (default: ROLLCAST_URL, else
+                         http://127.0.0.1:8000)
   --format <table|json>  how to print it  [default: table]
   -h, --help             Show this message and exit.
 """)

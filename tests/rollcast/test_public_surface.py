@@ -72,43 +72,45 @@ ALIASES = {
 def test_the_client():
     assert surface(rollcast.client, sorted(rollcast.client.__all__)) == snapshot("""\
 class AsyncClient(
-        base_url: str = 'http://127.0.0.1:8000',
+        base_url: str | None = None,
         *,
         timeout_s: float = 60.0,
         retries: int = 2,
         api_key: str | None = None,
         transport: httpx2.AsyncBaseTransport | None = None,
     ) -> None
+    base_url: str
     async def close(
         self,
     ) -> None
     async def health(
         self,
-    ) -> rollcast.http.Health
+    ) -> rollcast.schemas.Health
     async def model(
         self,
         name: str,
-        version: int | None = None,
-    ) -> rollcast.http.ModelDetail
+        version: int | numpy.integer[Any] | None = None,
+    ) -> rollcast.schemas.ModelDetail
     async def models(
         self,
-    ) -> list[rollcast.http.ModelEntry]
+    ) -> list[rollcast.schemas.ModelEntry]
     async def predict(
         self,
-        frames: Frames,
+        frames: Frames | pathlib.Path | str,
         *,
-        horizon: int | None = None,
+        horizon: int | numpy.integer[Any] | None = None,
         model: str = 'auto',
         final_frame: Frame | None = None,
-        final_step: int | None = None,
-        objects: int | None = None,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'footage']] = None,
+        final_step: int | numpy.integer[Any] | None = None,
+        objects: int | numpy.integer[Any] | None = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
+        start_s: float | None = None,
     ) -> rollcast.client.results.Forecast
     async def predict_many(
         self,
-        sequences: Iterable[Frames],
+        sequences: Iterable[Frames | pathlib.Path | str],
         *,
         final_frames: Iterable[Frame] | None = None,
         concurrency: int = 4,
@@ -116,20 +118,20 @@ class AsyncClient(
     ) -> list[rollcast.client.results.Forecast]
     def predict_stream(
         self,
-        frames: Frames,
+        frames: Frames | pathlib.Path | str,
         *,
         final_frame: Frame | None = None,
         **options: Unpack[ForecastOptions],
     ) -> 'AsyncForecastStream'
     async def simulate(
         self,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield']] = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table']] = None,
         *,
-        seed: int | None = None,
-        objects: int | None = None,
-        steps: int = 44,
-        start_step: int | None = None,
-        image_size: int = 128,
+        seed: int | numpy.integer[Any] | None = None,
+        objects: int | numpy.integer[Any] | None = None,
+        steps: int | numpy.integer[Any] = 44,
+        start_step: int | numpy.integer[Any] | None = None,
+        image_size: int | numpy.integer[Any] = 128,
         textured: bool | None = None,
         include_frames: bool = True,
         include_surface: bool = False,
@@ -137,7 +139,7 @@ class AsyncClient(
     ) -> rollcast.client.results.Simulation
 class AsyncForecastStream(
         client: rollcast.client.aio.AsyncClient,
-        frames: Frames,
+        frames: Frames | pathlib.Path | str,
         final_frame: Frame | None,
         options: rollcast.client.calls.ForecastOptions,
     ) -> None
@@ -146,43 +148,45 @@ class AsyncForecastStream(
     ) -> None
     forecast: rollcast.client.results.Forecast
 class Client(
-        base_url: str = 'http://127.0.0.1:8000',
+        base_url: str | None = None,
         *,
         timeout_s: float = 60.0,
         retries: int = 2,
         api_key: str | None = None,
         transport: httpx2.BaseTransport | None = None,
     ) -> None
+    base_url: str
     def close(
         self,
     ) -> None
     def health(
         self,
-    ) -> rollcast.http.Health
+    ) -> rollcast.schemas.Health
     def model(
         self,
         name: str,
-        version: int | None = None,
-    ) -> rollcast.http.ModelDetail
+        version: int | numpy.integer[Any] | None = None,
+    ) -> rollcast.schemas.ModelDetail
     def models(
         self,
-    ) -> list[rollcast.http.ModelEntry]
+    ) -> list[rollcast.schemas.ModelEntry]
     def predict(
         self,
-        frames: Frames,
+        frames: Frames | pathlib.Path | str,
         *,
-        horizon: int | None = None,
+        horizon: int | numpy.integer[Any] | None = None,
         model: str = 'auto',
         final_frame: Frame | None = None,
-        final_step: int | None = None,
-        objects: int | None = None,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'footage']] = None,
+        final_step: int | numpy.integer[Any] | None = None,
+        objects: int | numpy.integer[Any] | None = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
+        start_s: float | None = None,
     ) -> rollcast.client.results.Forecast
     def predict_many(
         self,
-        sequences: Iterable[Frames],
+        sequences: Iterable[Frames | pathlib.Path | str],
         *,
         final_frames: Iterable[Frame] | None = None,
         concurrency: int = 4,
@@ -190,20 +194,20 @@ class Client(
     ) -> list[rollcast.client.results.Forecast]
     def predict_stream(
         self,
-        frames: Frames,
+        frames: Frames | pathlib.Path | str,
         *,
         final_frame: Frame | None = None,
         **options: Unpack[ForecastOptions],
     ) -> 'ForecastStream'
     def simulate(
         self,
-        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield']] = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table']] = None,
         *,
-        seed: int | None = None,
-        objects: int | None = None,
-        steps: int = 44,
-        start_step: int | None = None,
-        image_size: int = 128,
+        seed: int | numpy.integer[Any] | None = None,
+        objects: int | numpy.integer[Any] | None = None,
+        steps: int | numpy.integer[Any] = 44,
+        start_step: int | numpy.integer[Any] | None = None,
+        image_size: int | numpy.integer[Any] = 128,
         textured: bool | None = None,
         include_frames: bool = True,
         include_surface: bool = False,
@@ -219,30 +223,41 @@ class Forecast(
         final_positions: jaxtyping.Float64[ndarray, 'objects 2'] | None,
         times_s: jaxtyping.Float64[ndarray, 'T'],
         colors: tuple[str, ...],
-        model: rollcast.http.ModelReference,
+        model: rollcast.schemas.ModelReference,
         frame_size: tuple[int, int],
         frame_rate: float,
         warnings: tuple[str, ...],
-        timing_ms: rollcast.http.PredictTiming,
+        timing_ms: rollcast.schemas.PredictTiming,
     ) -> None
     def from_events(
-        steps: Sequence[rollcast.http.StreamStep],
-        done: rollcast.http.StreamDone,
+        steps: Sequence[rollcast.schemas.StreamStep],
+        done: rollcast.schemas.StreamDone,
     ) -> Self
     def from_response(
-        response: rollcast.http.PredictResponse,
+        response: rollcast.schemas.PredictResponse,
     ) -> Self
     def plot(
         self,
-        frames: Frames,
+        frames: Frames | None = None,
         *,
         times_s: Sequence[float] | None = None,
         crop: Optional[Literal['square']] = None,
         panels: int = 6,
     ) -> PIL.Image.Image
+    def save(
+        self,
+        path: pathlib.Path | str,
+        frames: Frames | None = None,
+        *,
+        times_s: Sequence[float] | None = None,
+        crop: Optional[Literal['square']] = None,
+    ) -> None
     def to_dataframe(
         self,
     ) -> 'DataFrame'
+    def to_json(
+        self,
+    ) -> str
 class ForecastStep(
         step: int,
         time_s: float,
@@ -252,11 +267,11 @@ class ForecastStep(
         angular_velocities: jaxtyping.Float64[ndarray, 'objects 3'] | None,
     ) -> None
     def from_event(
-        event: rollcast.http.StreamStep,
+        event: rollcast.schemas.StreamStep,
     ) -> Self
 class ForecastStream(
         client: rollcast.client.sync.Client,
-        frames: Frames,
+        frames: Frames | pathlib.Path | str,
         final_frame: Frame | None,
         options: rollcast.client.calls.ForecastOptions,
     ) -> None
@@ -267,21 +282,21 @@ class ForecastStream(
 Frame = numpy.ndarray | PIL.Image.Image | pathlib.Path | str
 Frames = Sequence[numpy.ndarray | PIL.Image.Image | pathlib.Path | str] | numpy.ndarray
 class Simulation(
-        frames: jaxtyping.UInt8[ndarray, 'steps S S 3'] | None,
+        frames: ~FramesT,
         positions: jaxtyping.Float64[ndarray, 'objects steps 2'],
         angular_velocities: jaxtyping.Float64[ndarray, 'objects steps 3'],
         times_s: jaxtyping.Float64[ndarray, 'steps'],
         radii_px: jaxtyping.Float64[ndarray, 'objects'],
-        colors: tuple[Literal['red', 'green', 'blue'], ...],
+        colors: tuple[Literal['red', 'green', 'blue', 'yellow', 'magenta', 'cyan', 'orange', 'white'], ...],
         scene: rollcast.scene.Scene,
         start_step: int,
         frame_size: tuple[int, int],
         frame_rate: float,
-        surface: rollcast.client.results.Surface | None = None,
+        surface: ~SurfaceT,
     ) -> None
     def from_response(
-        response: rollcast.http.SimulateResponse,
-    ) -> Self
+        response: rollcast.schemas.SimulateResponse,
+    ) -> 'Simulation'
     def plot(
         self,
         *,
@@ -300,18 +315,18 @@ class Surface(
 def test_the_fake_service():
     names = rollcast.client.testing.__all__
     assert surface(rollcast.client.testing, names) == snapshot("""\
-class Asked(
+class FakeService(
+        positions: Union[ArrayLike, NoneType] = None,
+        *,
+        variance_px2: float = 1.0,
+        problem: rollcast.schemas.Problem | None = None,
+    ) -> None
+class RecordedRequest(
         method: str,
         path: str,
         fields: Mapping[str, Any],
         frames: Sequence[bytes] = (),
         final_frame: bytes | None = None,
-    ) -> None
-class FakeService(
-        positions: Union[ArrayLike, NoneType] = None,
-        *,
-        variance_px2: float = 1.0,
-        problem: rollcast.http.Problem | None = None,
     ) -> None\
 """)
 
@@ -331,20 +346,26 @@ def test_the_exceptions():
 Exception
   RollcastError
     ClientError
+      InvalidArgumentError
       ProblemError
-        BusyError
-        RefusedError
-          DeniedError
-        ServiceFailedError
+        BadRequestError
+          AuthError
+        OverloadedError
+        ServerError
       UnexpectedAnswerError
       UnreachableError
+        RequestTimeoutError
     FootageError
       CropError
     MissingExtraError
     SceneParametersError
     SceneRejectedError
 ImportError
-  MissingExtraError\
+  MissingExtraError
+TimeoutError
+  RequestTimeoutError
+ValueError
+  InvalidArgumentError\
 """)
 
 

@@ -57,7 +57,7 @@ def test_a_scene_cannot_be_changed():
         (HEIGHTFIELD | {"noise_offset_m": None}, "needs noise_offset_m"),
         (HEIGHTFIELD | {"noise_scale": 0.19}, "noise_scale"),
         (BOWL | balls(0), "0 balls"),
-        (BOWL | {"textured": False} | balls(4), "4 balls"),
+        (BOWL | {"textured": False} | balls(9), "9 balls"),
         (BOWL | {"velocities_m_s": ()}, "velocities_m_s has 0 entries for 1 balls"),
         (BOWL | {"orientations_xyzw": ()}, "orientations_xyzw has 0 entries"),
         (BOWL | balls(2), "textured must be false"),

@@ -23,8 +23,8 @@ from rollcast.client import (
     Surface,
 )
 from rollcast.client.testing import FakeService
-from rollcast.errors import BusyError, ClientError, ProblemError
-from rollcast.http import Health, ModelDetail, ModelEntry, Problem
+from rollcast.errors import ClientError, OverloadedError, ProblemError
+from rollcast.schemas import Health, ModelDetail, ModelEntry, Problem
 
 
 def right(frames: list[np.ndarray]) -> None:
@@ -37,9 +37,15 @@ def right(frames: list[np.ndarray]) -> None:
         client.predict(np.zeros((4, 64, 64, 3), np.uint8))
         client.predict([Path("a.png"), "b.png", frames[2], Image.new("RGB", (64, 64))])
         scene = client.simulate("ellipsoid", seed=7)
-        assert_type(scene, Simulation)
-        assert scene.frames is not None
-        assert_type(scene.surface, Surface | None)
+        assert_type(scene, Simulation[np.ndarray, None])
+        ground = client.simulate("heightfield", seed=np.int64(7), include_surface=True)
+        assert_type(ground.surface, Surface)
+        any_scene: Simulation = client.simulate("ellipsoid", seed=7, include_frames=False)
+        assert_type(any_scene.frames, np.ndarray | None)
+        assert_type(any_scene.surface, Surface | None)
+        client.predict("clip.mp4", start_s=2.0, horizon=np.int64(20))
+        forecast.save("overlay.png", scene.frames[3:])
+        assert_type(forecast.to_json(), str)
         client.predict(scene.frames[:4], scenario="ellipsoid", final_frame=scene.frames[42])
         assert_type(client.predict_many([frames, scene.frames[:4]], horizon=5), list[Forecast])
         assert_type(client.models(), list[ModelEntry])
@@ -56,7 +62,8 @@ async def right_when_awaited(frames: list[np.ndarray]) -> None:
     async with AsyncClient() as client:
         assert_type(await client.predict(frames), Forecast)
         assert_type(await client.predict_many([frames] * 3, concurrency=2), list[Forecast])
-        assert_type(await client.simulate("ellipsoid", seed=7), Simulation)
+        scene = await client.simulate("ellipsoid", seed=7)
+        assert_type(scene, Simulation[np.ndarray, None])
         assert_type(await client.health(), Health)
         async with client.predict_stream(frames, horizon=40, model="posnet") as stream:
             assert_type(stream, AsyncForecastStream)
@@ -69,7 +76,7 @@ def right_in_tests(frames: list[np.ndarray], problem: Problem) -> None:
     AsyncClient(transport=service)
     try:
         Client(transport=service).predict(frames)
-    except BusyError as error:
+    except OverloadedError as error:
         assert_type(error.retry_after_s, float)
     except ProblemError as error:
         assert_type(error.problem.field, str | None)
@@ -86,9 +93,9 @@ def wrong(client: Client, frames: list[np.ndarray]) -> None:
     client.predict_stream(frames, steps=20)  # pyright: ignore[reportCallIssue]
     client.predict_many([frames], scenario="box")  # pyright: ignore[reportArgumentType]
     client.predict_many(frames, final_frame=frames[0])  # pyright: ignore[reportCallIssue]
-    client.simulate("box", seed=1)  # pyright: ignore[reportArgumentType]
+    client.simulate("box", seed=1)  # pyright: ignore[reportCallIssue, reportArgumentType]
     client.predict(frames).positions = frames[0]  # pyright: ignore[reportAttributeAccessIssue]
-    client.simulate("ellipsoid", seed=7).frames[:4]  # pyright: ignore[reportOptionalSubscript]
+    client.simulate("ellipsoid", include_frames=False).frames[:4]  # pyright: ignore[reportOptionalSubscript]
     Client(transport=httpx2.AsyncHTTPTransport())  # pyright: ignore[reportArgumentType]
 
 

@@ -25,8 +25,8 @@ RENAMED = {
     "AsyncGenerator": "Generator",
     "aclose": "close",
     "aiter": "iter",
-    "aread": "read",
-    "tasks": "threads",
+    "aiter_bytes": "iter_bytes",
+    "_async": "_sync",
 }
 
 
@@ -41,7 +41,7 @@ def sync_client() -> str:
     for name, other in RENAMED.items():
         text = re.sub(rf"\b{name}\b", other, text)
     text = HEADER + re.sub(r"\b(async|await) ", "", text)
-    for command in (["check", "--fix", "--quiet", "--select", "I"], ["format"]):
+    for command in (["check", "--fix", "--quiet", "--select", "I,SIM117"], ["format"]):
         text = subprocess.run(
             [sys.executable, "-m", "ruff", *command, "--stdin-filename", TARGET, "-"],
             input=text,

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from rollcast.familiarity import Familiarity
 from rollcast.manifest import HASHED_FILES, OUTPUT_SHAPES, Manifest
-from service.registry import Model, Registry
-from service.rollout import Arrays, Step
+from rollcast.ood import Familiarity
+from service.inference.rollout import Arrays, Step
+from service.serving.registry import Model, Registry
 
 UNITS = {
     "positions": "px",
@@ -122,7 +122,7 @@ class DotPredictor:
         self.manifest = manifest
         self.familiarity = familiarity
 
-    def encode(self, frames: np.ndarray, *, helped: bool = False) -> Step:
+    def encode(self, frames: np.ndarray, *, two_cores: bool = False) -> Step:
         positions = _centroids(frames)[:, :, None].repeat(self.manifest.objects, axis=2)
         step = self._step(positions[:, 3], positions[:, 3] - positions[:, 2])
         if self.manifest.final_step is None:

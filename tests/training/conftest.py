@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+from training.data.shards import SHARD_SCENES, Source
 from training.recipes.compact import one_ball
 from training.recipes.recipe import DataShare, Milestone, Recipe
-from training.simulate import SHARD_SCENES, Source
 
 HEMISPHERE = Source("hemisphere")
 

@@ -12,8 +12,8 @@ from torch import nn
 from tqdm import tqdm
 
 from training.baselines.learner import Given, Learner
-from training.readings import save_whole
-from training.schedules import Schedule
+from training.data.feature_cache import save_whole
+from training.objectives.schedules import Schedule
 
 CHECKPOINT = "checkpoint.pt"
 BEST = "best.pt"
@@ -23,7 +23,7 @@ VALIDATIONS = 20
 
 
 @dataclass(frozen=True)
-class Course(Generic[Given]):
+class FitConfig(Generic[Given]):
     """How a baseline is trained.
 
     Attributes
@@ -46,7 +46,7 @@ class Course(Generic[Given]):
 
 def fit(
     build: Callable[[], Learner[Given]],
-    course: Course[Given],
+    fit_config: FitConfig[Given],
     folder: Path,
     validate: Callable[[Learner[Given]], float],
 ) -> Learner[Given]:
@@ -60,11 +60,11 @@ def fit(
         Error of a learner that decides which weights are the best.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    torch.manual_seed(course.seed)
+    torch.manual_seed(fit_config.seed)
     learner = build()
-    optimiser = course.optimiser(learner.parameters())
+    optimiser = fit_config.optimiser(learner.parameters())
     first_rates = [group["lr"] for group in optimiser.param_groups]
-    schedule = course.schedule()
+    schedule = fit_config.schedule()
     done, best = 0, math.inf
     checkpoint = folder / CHECKPOINT
     if checkpoint.exists():
@@ -74,11 +74,11 @@ def fit(
         schedule.restore(state["schedule"])
         done, best = state["batches"], state["best"]
     saved = time.monotonic()
-    every = max(1, course.batches // VALIDATIONS)
-    batches = course.stream(done)
-    progress = tqdm(total=course.batches, initial=done, unit="batch", desc=folder.name)
-    while done < course.batches:
-        spent = done / course.batches
+    every = max(1, fit_config.batches // VALIDATIONS)
+    batches = fit_config.stream(done)
+    progress = tqdm(total=fit_config.batches, initial=done, unit="batch", desc=folder.name)
+    while done < fit_config.batches:
+        spent = done / fit_config.batches
         for group, rate in zip(optimiser.param_groups, first_rates, strict=True):
             group["lr"] = rate * schedule.factor(spent)
         learner.train()
@@ -86,10 +86,10 @@ def fit(
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
-        schedule.observe(float(loss.detach()), course.batch_size)
+        schedule.observe(float(loss.detach()), fit_config.batch_size)
         done += 1
         progress.update()
-        if done % every == 0 or done == course.batches:
+        if done % every == 0 or done == fit_config.batches:
             learner.eval()
             with torch.inference_mode():
                 error = validate(learner)
@@ -97,7 +97,7 @@ def fit(
             if error < best:
                 best = error
                 save_whole(folder / BEST, {"weights": learner.state_dict(), "error_px": error})
-        if time.monotonic() - saved > CHECKPOINT_SECONDS or done == course.batches:
+        if time.monotonic() - saved > CHECKPOINT_SECONDS or done == fit_config.batches:
             save_whole(
                 checkpoint,
                 {

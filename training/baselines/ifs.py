@@ -33,7 +33,7 @@ class Ifs(Learner[States]):
         self.dynamics = InteractionDynamics()
         self.decoder = nn.Linear(CODE, moving)
 
-    def loss(self, given: States, spent: float) -> Tensor:
+    def loss(self, given: States, progress: float) -> Tensor:
         """Squared errors of the steps, and of the given states as their codes tell them."""
         truth = self._truth(given)
         codes = self._codes(given)
@@ -41,7 +41,7 @@ class Ifs(Learner[States]):
         later = truth[:, :, HISTORY:]
         rolled = self.decoder(self.dynamics.roll_out(codes, later.shape[2]))
         errors = (rolled - later).square().sum(-1).mean(dim=(0, 1))
-        return given_error + (annealed_weights(later.shape[2], spent) * errors).sum()
+        return given_error + (annealed_weights(later.shape[2], progress) * errors).sum()
 
     def forecast(self, given: States, horizon: int) -> Forecast:
         """Start from the true states of t = -3..0."""

@@ -95,10 +95,10 @@ class InteractionDynamics(nn.Module):
         return torch.stack(history[codes_BNTC.shape[2] :], dim=2)
 
 
-def annealed_weights(steps: int, spent: float) -> Tensor:
+def annealed_weights(steps: int, progress: float) -> Tensor:
     """Weights of the rolled-out steps: the first alone at first, all alike in the end.
 
-    A discount that rises from 0 to 1 with the share ``spent`` of the budget, normalised.
+    A discount that rises from 0 to 1 with the share ``progress`` of the budget, normalised.
     """
-    weights = torch.full((steps,), min(max(spent, 1e-6), 1.0)) ** torch.arange(steps)
+    weights = torch.full((steps,), min(max(progress, 1e-6), 1.0)) ** torch.arange(steps)
     return weights / weights.sum()

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from training.baselines.states import HALF_FRAME_PX
-from training.models.predictor import ANGULAR_VELOCITY_UNIT
+from training.networks.recurrent import ANGULAR_VELOCITY_UNIT
 
 Given = TypeVar("Given")
 
@@ -38,8 +38,8 @@ class Learner(nn.Module, ABC, Generic[Given]):
     """Whether it is taught angular velocity; without, it is the paper's "w/o ang. vel."."""
 
     @abstractmethod
-    def loss(self, given: Given, spent: float) -> Tensor:
-        """Return what is minimised on a batch when a share ``spent`` of the budget is gone."""
+    def loss(self, given: Given, progress: float) -> Tensor:
+        """Return what is minimised on a batch when a share ``progress`` of the budget is gone."""
 
     @abstractmethod
     def forecast(self, given: Given, horizon: int) -> Forecast:

@@ -40,7 +40,7 @@ class Npe(Learner[States]):
         self.encoder = perceptron((2 * seen, *hidden), rectified_end=True)
         self.decoder = perceptron((HIDDEN + seen, *hidden, moving - 2))
 
-    def loss(self, given: States, spent: float) -> Tensor:  # noqa: ARG002 - the same all the time
+    def loss(self, given: States, progress: float) -> Tensor:  # noqa: ARG002 - the same all the time
         """Squared error of the change after the first states of every sequence."""
         change = self._change(given.until(GIVEN))
         velocity, spin = (

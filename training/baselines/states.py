@@ -2,7 +2,7 @@
 
 Lengths are halves of the frame, x to the right and y down from its centre, so velocities are
 halves of the frame a frame; angular velocities are those of the world's axes in multiples of
-:data:`training.models.predictor.ANGULAR_VELOCITY_UNIT`.
+:data:`training.networks.recurrent.ANGULAR_VELOCITY_UNIT`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,8 +16,8 @@ from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.scene import Scene
 from rollcast.simulation.recording import TEST_START
 from rollcast.trajectory import FIRST_FORECAST_FRAME
-from training.models.predictor import ANGULAR_VELOCITY_UNIT
-from training.simulate import Recording
+from training.data.shards import Recording
+from training.networks.recurrent import ANGULAR_VELOCITY_UNIT
 
 HALF_FRAME_PX = NETWORK_FRAME_SIZE / 2
 
@@ -112,7 +112,7 @@ class StateSet:
 def turned(states: States, quarter_turns: Tensor, mirrored: Tensor) -> States:
     """Turn sequences counter-clockwise as seen, then mirror some in x.
 
-    The same symmetries as :class:`training.dataset.Symmetry` has for frames.
+    The same symmetries as :class:`training.data.windows.Symmetry` has for frames.
     """
     angle = quarter_turns * (torch.pi / 2)
     cos, sin = angle.cos().round(), angle.sin().round()

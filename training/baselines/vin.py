@@ -20,7 +20,7 @@ from training.baselines.interaction import (
 )
 from training.baselines.learner import Forecast, Learner
 from training.baselines.states import HALF_FRAME_PX, VELOCITY_UNIT
-from training.dataset import Batch
+from training.data.windows import Batch
 
 FRAME = 32
 """Side of the frames that it sees, pixels."""
@@ -80,7 +80,7 @@ class Vin(Learner[Batch]):
         self.dynamics = InteractionDynamics()
         self.decoder = nn.Linear(CODE, 4)
 
-    def loss(self, given: Batch, spent: float) -> Tensor:
+    def loss(self, given: Batch, progress: float) -> Tensor:
         """Squared errors of the steps after t = 0, and of t = 0 as the frames' code tells it."""
         positions = given["positions"][:, :, : self._horizon] / HALF_FRAME_PX - 1
         velocities = (positions[:, :, 1:] - positions[:, :, :-1]) / VELOCITY_UNIT
@@ -88,7 +88,7 @@ class Vin(Learner[Batch]):
         now = (states[:, :, 0, :2] - positions[:, :, 0]).square().sum(-1).mean()
         later = torch.cat([positions[:, :, 1:], velocities], dim=-1)
         errors = (states[:, :, 1:] - later).square().sum(-1).mean(dim=(0, 1))
-        return now + (annealed_weights(self._horizon - 1, spent) * errors).sum()
+        return now + (annealed_weights(self._horizon - 1, progress) * errors).sum()
 
     def forecast(self, given: Batch, horizon: int) -> Forecast:
         """Read the states of the frames and roll them out."""

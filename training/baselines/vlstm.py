@@ -15,8 +15,8 @@ from torch import Tensor, nn
 from training.baselines.interaction import perceptron
 from training.baselines.learner import Forecast, Learner
 from training.baselines.states import HALF_FRAME_PX
-from training.dataset import Batch
-from training.models.predictor import ANGULAR_VELOCITY_UNIT
+from training.data.windows import Batch
+from training.networks.recurrent import ANGULAR_VELOCITY_UNIT
 
 UNITS, LAYERS, DECODER = 512, 2, 256
 CONVOLUTIONS = (0, 3, 6, 8)
@@ -122,7 +122,7 @@ class VLstm(Learner[Batch]):
                 assert isinstance(ball, OneBall)
                 ball.encoder.load_imagenet(imagenet)
 
-    def loss(self, given: Batch, spent: float) -> Tensor:  # noqa: ARG002 - the same all the time
+    def loss(self, given: Batch, progress: float) -> Tensor:  # noqa: ARG002 - the same all the time
         """Squared errors of positions and angular velocities, as of the paper's own networks."""
         parts = [given["positions"] / HALF_FRAME_PX - 1]
         if self.sees_spin:

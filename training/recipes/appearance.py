@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
-from training.looks import Looks
-from training.losses import ReadingLoss
+from training.data.looks import Looks
+from training.data.shards import Source, Variety
+from training.objectives.losses import ReadingLoss
 from training.recipes.field import field_one_ball
 from training.recipes.recipe import DataShare, Milestone, Recipe
-from training.simulate import Source, Variety
 
 VARIED = Variety()
+OTHER_MATERIALS = Variety("other-materials", materials=True)
 
 APPEARANCE_DATA = (
     DataShare(Source("hemisphere"), 1200, 0.12, 200),
@@ -17,6 +18,9 @@ APPEARANCE_DATA = (
     DataShare(Source("hemisphere", variety=VARIED), 1000, 0.10, 200),
     DataShare(Source("ellipsoid", variety=VARIED), 1500, 0.12, 200),
     DataShare(Source("heightfield", variety=VARIED), 800, 0.14, 140),
+    DataShare(Source("hemisphere", variety=OTHER_MATERIALS), 400, 0.04, 200),
+    DataShare(Source("ellipsoid", variety=OTHER_MATERIALS), 400, 0.04, 200),
+    DataShare(Source("table"), 1000, 0.12, 140),
 )
 """The paper's distributions, and beside each of them everything that a scene can be asked for."""
 

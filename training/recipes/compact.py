@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 from rollcast.scene import SMALL_RADIUS_M
-from training.losses import DistanceLoss, LikelihoodLoss, SpinLoss
-from training.models.task import Task
+from training.data.shards import Source
+from training.networks.task import Task
+from training.objectives.losses import DistanceLoss, LikelihoodLoss, SpinLoss
 from training.recipes.recipe import DataShare, Member, Milestone, Recipe
-from training.simulate import Source
 
 ONE_BALL_DATA = (
     DataShare(Source("hemisphere"), 1200, 0.18, 200),

@@ -3,7 +3,9 @@
 from dataclasses import replace
 
 from rollcast.scene import SMALL_RADIUS_M
-from training.losses import (
+from training.data.shards import Source
+from training.networks.task import Task
+from training.objectives.losses import (
     DistanceLoss,
     DoubtLoss,
     LikelihoodLoss,
@@ -11,9 +13,7 @@ from training.losses import (
     ReadingLoss,
     SpinLoss,
 )
-from training.models.task import Task
 from training.recipes.recipe import DataShare, Explicit, Member, Milestone, Recipe, continued
-from training.simulate import Source
 
 FIELD_DATA = (
     DataShare(Source("hemisphere"), 2000, 0.14, 200),

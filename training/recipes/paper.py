@@ -7,12 +7,12 @@ from typing import Any
 
 import torch
 
-from training.losses import SpinLoss, SquaredLoss
-from training.models.blocks import PIXEL_UNIT
+from training.data.shards import Source
+from training.networks.blocks import PIXEL_UNIT
+from training.objectives.losses import SpinLoss, SquaredLoss
+from training.objectives.schedules import Plateau
 from training.recipes.compact import one_ball
 from training.recipes.recipe import DataShare, Member, Milestone, Recipe
-from training.schedules import Plateau
-from training.simulate import Source
 
 
 def tensorflows_rmsprop(groups: Iterable[dict[str, Any]], rate: float) -> torch.optim.RMSprop:

@@ -8,13 +8,13 @@ import numpy as np
 import torch
 
 from rollcast.scene import Scenario
-from training.looks import Looks
-from training.losses import Loss, MotionLoss, ReadingLoss, SpinLoss
-from training.models.predictor import Family
-from training.models.presets import PRESETS
-from training.models.task import Task
-from training.schedules import Cosine, Schedule
-from training.simulate import Source
+from training.data.looks import Looks
+from training.data.shards import Source
+from training.networks.presets import PRESETS
+from training.networks.recurrent import Family
+from training.networks.task import Task
+from training.objectives.losses import Loss, MotionLoss, ReadingLoss, SpinLoss
+from training.objectives.schedules import Cosine, Schedule
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,13 @@ class DataShare:
 
 @dataclass(frozen=True)
 class Milestone:
-    """When a share ``spent`` of the budget is gone, train on forecasts of ``horizon`` steps.
+    """When a share ``progress`` of the budget is gone, train on forecasts of ``horizon`` steps.
 
     Between milestones the horizon grows step by step: a jump from 10 to 20 destroyed a network
     that stood at 3 px (docs/experiments.md).
     """
 
-    spent: float
+    progress: float
     horizon: int
 
 
@@ -182,20 +182,20 @@ def continued(recipe: Recipe) -> Recipe:
     )
 
 
-def horizon_at(curriculum: tuple[Milestone, ...], spent: float) -> int:
-    """Horizon to train on when a share ``spent`` of the budget is gone."""
-    shares = [milestone.spent for milestone in curriculum]
+def horizon_at(curriculum: tuple[Milestone, ...], progress: float) -> int:
+    """Horizon to train on when a share ``progress`` of the budget is gone."""
+    shares = [milestone.progress for milestone in curriculum]
     horizons = [milestone.horizon for milestone in curriculum]
-    return int(np.interp(spent, shares, horizons))
+    return int(np.interp(progress, shares, horizons))
 
 
-def longest_rollout(recipe: Recipe, spent: float) -> int:
-    """Return the steps of the longest rollouts trained on once a share ``spent`` is gone.
+def longest_rollout(recipe: Recipe, progress: float) -> int:
+    """Return the steps of the longest rollouts trained on once a share ``progress`` is gone.
 
     From frames or, where there is practice, from true states. This, not what the recipe is on its
     way to, is the trained horizon of weights that are kept before the end.
     """
-    horizon = max(horizon_at(recipe.curriculum, spent), recipe.earlier_horizon)
+    horizon = max(horizon_at(recipe.curriculum, progress), recipe.earlier_horizon)
     if recipe.explicit is None:
         return horizon
-    return max(horizon, horizon_at(recipe.explicit.curriculum, spent))
+    return max(horizon, horizon_at(recipe.explicit.curriculum, progress))

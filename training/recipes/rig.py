@@ -2,8 +2,14 @@
 
 from dataclasses import replace
 
-from training.losses import DistanceLoss, DoubtLoss, LikelihoodLoss, ReadingLoss, SpinLoss
-from training.models.task import Task
+from training.networks.task import Task
+from training.objectives.losses import (
+    DistanceLoss,
+    DoubtLoss,
+    LikelihoodLoss,
+    ReadingLoss,
+    SpinLoss,
+)
 from training.recipes.recipe import Explicit, Member, Milestone, Recipe
 
 T_TRAIN, T_GEN = 15, 30

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from training.models.task import Task
+from training.networks.task import Task
 from training.recipes.compact import (
     one_ball,
     one_ball_between,

@@ -2,16 +2,16 @@
 
 from dataclasses import replace
 
-from training.models.task import Task
+from training.data.shards import SceneOverride
+from training.networks.task import Task
 from training.recipes.compact import one_ball_between, several_balls
 from training.recipes.recipe import Milestone, Recipe
-from training.simulate import Change
+from training.studies.benchmark_case import BenchmarkCase
 from training.studies.claims import NO_MODULE
 from training.studies.conditions import PLAIN_WHITE
 from training.studies.long_term import MODELS, OURS, of_one_ball
 from training.studies.rows import BUDGET, PLAIN, Row, ours, ours_trained_to_each, resting, shipped
 from training.studies.study import Study
-from training.studies.subject import Subject
 
 WITHOUT_MODULE = f"dispnet{NO_MODULE}"
 TRAINED = f"""Mean error in 128-pixel units, that of angular velocity in rad/s in brackets, and the
@@ -20,18 +20,18 @@ unless its last column says otherwise; the paper's saw about 17 million."""
 LENGTHS = (10, 20, 30, 40)
 
 
-def on_ellipsoids(change: Change | None, *, angular_velocity: bool) -> Recipe:
+def on_ellipsoids(override: SceneOverride | None, *, angular_velocity: bool) -> Recipe:
     """Return the compact networks, from nothing, on one ball in ellipsoidal bowls."""
     usual = of_one_ball(angular_velocity=angular_velocity)
     name = "-".join(
         [
             "ellipsoid",
-            *(() if change is None else ("white",)),
+            *(() if override is None else ("white",)),
             *(() if angular_velocity else ("plain",)),
         ]
     )
     data = tuple(
-        replace(part, source=replace(part.source, change=change))
+        replace(part, source=replace(part.source, override=override))
         for part in usual.data
         if part.source.scenario == "ellipsoid"
     )
@@ -53,7 +53,7 @@ def trained_to(steps: int) -> Recipe:
     if steps == usual.curriculum[-1].horizon:
         return usual
     earlier = [one for one in usual.curriculum if one.horizon < steps]
-    last = Milestone(usual.curriculum[-1].spent, steps)
+    last = Milestone(usual.curriculum[-1].progress, steps)
     return replace(usual, name=f"one-ball-to-{steps}", curriculum=(*earlier, last))
 
 
@@ -97,7 +97,7 @@ def _interpolation() -> tuple[Row, ...]:
         resting(),
         replace(
             ours_trained_to_each(recipes, "dispnet", "dispnet trained to T"),
-            fits=lambda subject: subject.objects == 1,
+            fits=lambda case: case.objects == 1,
         ),
         ours(between(), "interpnet", "interpnet"),
         *(
@@ -121,7 +121,7 @@ TEXTURE = Study(
     "Textured and white balls",
     f"""Networks trained and tested on ellipsoidal bowls with balls whose turning can be seen, and
 with white ones. {TRAINED} T_train is 20, T_gen 40.""",
-    (Subject("ellipsoid"), Subject("ellipsoid", change=PLAIN_WHITE)),
+    (BenchmarkCase("ellipsoid"), BenchmarkCase("ellipsoid", override=PLAIN_WHITE)),
     _textures,
 )
 
@@ -129,7 +129,7 @@ MODULE = Study(
     "interaction",
     "With and without the interaction module",
     f"Long-term prediction of several balls. {TRAINED} T_train is 15, T_gen 30.",
-    (Subject("ellipsoid", 2), Subject("ellipsoid", 3)),
+    (BenchmarkCase("ellipsoid", 2), BenchmarkCase("ellipsoid", 3)),
     _modules,
 )
 
@@ -138,7 +138,7 @@ COLLISIONS = Study(
     "After the first collision",
     f"""Test scenes in which two balls collide, from ten steps before they first do: errors 5 and 10
 steps after it. {TRAINED}""",
-    (Subject("ellipsoid", 2, colliding=True), Subject("ellipsoid", 3, colliding=True)),
+    (BenchmarkCase("ellipsoid", 2, colliding=True), BenchmarkCase("ellipsoid", 3, colliding=True)),
     _modules,
 )
 
@@ -149,8 +149,11 @@ INTERPOLATION = Study(
 supervised as far as it forecasts; a committed model that interpolates sees the frame of T_gen.
 {TRAINED}""",
     (
-        *(Subject(name, horizons=LENGTHS) for name in ("hemisphere", "ellipsoid", "heightfield")),
-        *(Subject("ellipsoid", objects, horizons=LENGTHS[:3]) for objects in (2, 3)),
+        *(
+            BenchmarkCase(name, horizons=LENGTHS)
+            for name in ("hemisphere", "ellipsoid", "heightfield")
+        ),
+        *(BenchmarkCase("ellipsoid", objects, horizons=LENGTHS[:3]) for objects in (2, 3)),
     ),
     _interpolation,
 )
@@ -159,6 +162,6 @@ SUPERVISION = Study(
     "supervision",
     "Supervised up to 20 steps and up to 40",
     f"{TRAINED} T_train is 20, T_gen 40.",
-    (Subject("hemisphere"), Subject("ellipsoid"), Subject("heightfield")),
+    (BenchmarkCase("hemisphere"), BenchmarkCase("ellipsoid"), BenchmarkCase("heightfield")),
     _supervision,
 )

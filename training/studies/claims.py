@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from training.results import Cell
+from training.reporting.results import Measurement
 
 Outcome: TypeAlias = Literal["holds", "does not hold", "open"]
 Errors: TypeAlias = Mapping[tuple[str, int, str, str, str], float]
@@ -54,7 +54,7 @@ class Verdict:
     figures: str
 
 
-def verdicts(claims: Sequence[Claim], cells: Sequence[Cell]) -> list[Verdict]:
+def verdicts(claims: Sequence[Claim], cells: Sequence[Measurement]) -> list[Verdict]:
     """Judge claims by measured cells."""
     errors = {
         (c.scenario, c.objects, c.method, c.at, c.condition): c.position_error_px for c in cells

@@ -3,23 +3,25 @@
 from itertools import pairwise
 
 from rollcast.scene import SMALL_RADIUS_M
-from training.simulate import Change
+from training.data.shards import SceneOverride
+from training.studies.benchmark_case import BenchmarkCase, SceneFilter
 from training.studies.long_term import MODELS, OURS
 from training.studies.rows import Row, least_squares, resting, shipped
 from training.studies.study import Study
-from training.studies.subject import Among, Subject
 
 NOISE_SCALES = (0.2, 0.574, 0.617, 0.658, 0.7)
 """Ends of four parts that hold equally many scenes: the smaller, the more hills."""
 
 TRAINED_RADII = f"0.225 m, and {SMALL_RADIUS_M:g} m in a few bowls"
-SMALLER = Change("radius 0.15 m", (("radius_m", 0.15),))
-SLOWER = Change("half as fast", speed=0.5)
-FASTER = Change("one and a half times as fast", speed=1.5)
-NARROWER = Change("radius 0.15 m, axis ratio 0.4", (("radius_m", 0.15), ("axis_ratio", 0.4)))
-LIT_FROM_ABOVE = Change("lit from above", (("light_position_m", (0.0, 0.0, 2.0)),))
-LIT_FROM_BELOW = Change("lit from the height of 1 m", (("light_position_m", (1.25, 1.25, 1.0)),))
-PLAIN_WHITE = Change("white balls", (("textured", False),))
+SMALLER = SceneOverride("radius 0.15 m", (("radius_m", 0.15),))
+SLOWER = SceneOverride("half as fast", speed=0.5)
+FASTER = SceneOverride("one and a half times as fast", speed=1.5)
+NARROWER = SceneOverride("radius 0.15 m, axis ratio 0.4", (("radius_m", 0.15), ("axis_ratio", 0.4)))
+LIT_FROM_ABOVE = SceneOverride("lit from above", (("light_position_m", (0.0, 0.0, 2.0)),))
+LIT_FROM_BELOW = SceneOverride(
+    "lit from the height of 1 m", (("light_position_m", (1.25, 1.25, 1.0)),)
+)
+PLAIN_WHITE = SceneOverride("white balls", (("textured", False),))
 
 
 def _rows() -> tuple[Row, ...]:
@@ -40,7 +42,7 @@ small ones hardly any ball keeps moving for the 250 frames that a scene must las
 rule), so that only 1 % of the scenes lie below 0.48. Mean position error in 128-pixel units at
 T_train = 20 and T_gen = 40; nothing was trained for this table.""",
     tuple(
-        Subject("heightfield", among=Among("noise_scale", low, high))
+        BenchmarkCase("heightfield", scene_filter=SceneFilter("noise_scale", low, high))
         for low, high in pairwise(NOISE_SCALES)
     ),
     _rows,
@@ -58,10 +60,13 @@ high, beyond a corner), white balls (trained on coloured ones). Mean position er
 units at T_train = 20 and T_gen = 40; nothing was trained for this table. The service warns of
 frames that look unlike its training.""",
     (
-        *(Subject("hemisphere", change=one) for one in (None, SMALLER, SLOWER, PLAIN_WHITE)),
-        *(Subject("ellipsoid", change=one) for one in (None, SMALLER, SLOWER, NARROWER)),
         *(
-            Subject("heightfield", change=one)
+            BenchmarkCase("hemisphere", override=one)
+            for one in (None, SMALLER, SLOWER, PLAIN_WHITE)
+        ),
+        *(BenchmarkCase("ellipsoid", override=one) for one in (None, SMALLER, SLOWER, NARROWER)),
+        *(
+            BenchmarkCase("heightfield", override=one)
             for one in (None, SMALLER, SLOWER, FASTER, LIT_FROM_ABOVE, LIT_FROM_BELOW)
         ),
     ),

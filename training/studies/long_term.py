@@ -3,9 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
-from training.models.task import Task
+from training.networks.task import Task
 from training.recipes.compact import ONE_BALL_DATA, one_ball, several_balls
 from training.recipes.recipe import Recipe
+from training.studies.benchmark_case import BenchmarkCase
 from training.studies.rows import (
     BUDGET,
     PLAIN,
@@ -21,7 +22,6 @@ from training.studies.rows import (
     vin,
 )
 from training.studies.study import Study
-from training.studies.subject import Subject
 
 SIMULATOR_NOISE_PX = (0.25, 0.5)
 CAPTION = f"""Every cell: mean error on 500 test scenes in 128-pixel units, that of angular velocity
@@ -98,7 +98,7 @@ LONG_TERM = Study(
     "long-term",
     "Long-term prediction",
     CAPTION.format(trained=20, generated=40),
-    (Subject("hemisphere"), Subject("ellipsoid"), Subject("heightfield")),
+    (BenchmarkCase("hemisphere"), BenchmarkCase("ellipsoid"), BenchmarkCase("heightfield")),
     _one_ball,
 )
 
@@ -106,6 +106,6 @@ SEVERAL_BALLS = Study(
     "several-balls",
     "Two and three balls",
     CAPTION.format(trained=15, generated=30),
-    (Subject("ellipsoid", 2), Subject("ellipsoid", 3)),
+    (BenchmarkCase("ellipsoid", 2), BenchmarkCase("ellipsoid", 3)),
     _several_balls,
 )

@@ -10,8 +10,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
-from training.artefact import load_exported
-from training.baselines.fitting import Course, fit
+from training.baselines.fitting import FitConfig, fit
 from training.baselines.ifs import FRAMES, Ifs
 from training.baselines.learner import Learner, joined
 from training.baselines.least_squares import POINTS, polynomial
@@ -20,16 +19,17 @@ from training.baselines.oracle import Oracle
 from training.baselines.states import States, StateSet
 from training.baselines.vin import Vin
 from training.baselines.vlstm import VLstm
-from training.dataset import Batch, TrainingStream, collate
-from training.metrics import Forecasts, beside_truth, forecast, stays_put
-from training.models.predictor import Family, Network
+from training.common.settings import runs_folder
+from training.data.scene_cache import load_scene_cache
+from training.data.shards import load_recordings, simulate_split
+from training.data.windows import Batch, TrainingStream, collate
+from training.engine.trainer import BEST, Trainer, TrainerConfig
+from training.export.load import load_exported
+from training.networks.recurrent import Family, Network
+from training.objectives.metrics import Forecasts, beside_truth, forecast, stays_put
+from training.objectives.schedules import Cosine, Exponential, Plateau
 from training.recipes.recipe import Recipe
-from training.schedules import Cosine, Exponential, Plateau
-from training.settings import runs_folder
-from training.simulate import load_recordings, simulate_split
-from training.studies.subject import FixedScenes, Subject
-from training.survey import survey
-from training.trainer import BEST, Pace, Trainer
+from training.studies.benchmark_case import BenchmarkCase, FixedScenes
 
 BUDGET = 60_000
 """Training sequences of each kind of scene for every row that learns, if there is time for them."""
@@ -42,7 +42,7 @@ LSTM_BATCH = 50
 
 
 @dataclass(frozen=True)
-class Effort:
+class StudyBudget:
     """What a study may cost.
 
     Attributes
@@ -77,27 +77,27 @@ class Row:
     given_states
         Whether it is given true states or positions instead of frames.
     fits
-        Whether it is made for a subject.
+        Whether it is made for a case.
     sequences
         Training sequences of what comes trained.
     """
 
     method: str
-    forecasts: Callable[[FixedScenes, Effort], Forecasts]
+    forecasts: Callable[[FixedScenes, StudyBudget], Forecasts]
     learns: bool
     given_states: bool
-    fits: Callable[[Subject], bool] = lambda _: True
+    fits: Callable[[BenchmarkCase], bool] = lambda _: True
     sequences: int | None = None
 
-    def trained_on(self, effort: Effort) -> int | None:
+    def trained_on(self, budget: StudyBudget) -> int | None:
         """Return its training sequences; None for what learns nothing."""
-        return effort.sequences if self.learns else self.sequences
+        return budget.sequences if self.learns else self.sequences
 
 
 def resting() -> Row:
     """Stays put."""
 
-    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:  # noqa: ARG001
+    def forecasts(test: FixedScenes, budget: StudyBudget) -> Forecasts:  # noqa: ARG001
         truth = np.stack([window.positions for window in test.truth])
         return beside_truth(test.truth, stays_put(truth), None, None)
 
@@ -107,8 +107,8 @@ def resting() -> Row:
 def least_squares(method: str, degree: int) -> Row:
     """Linear or Quadratic."""
 
-    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:  # noqa: ARG001
-        horizon = test.subject.horizon
+    def forecasts(test: FixedScenes, budget: StudyBudget) -> Forecasts:  # noqa: ARG001
+        horizon = test.case.horizon
         positions = polynomial(test.seen_positions(POINTS), degree, horizon)
         spins = polynomial(test.first_spins(), degree, horizon)
         return beside_truth(test.truth, positions, None, spins)
@@ -119,9 +119,9 @@ def least_squares(method: str, degree: int) -> Row:
 def oracle(noise_px: float | None) -> Row:
     """Return the simulator, restarted from the truth or from four positions with noise."""
 
-    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:  # noqa: ARG001
+    def forecasts(test: FixedScenes, budget: StudyBudget) -> Forecasts:  # noqa: ARG001
         simulator = Oracle()
-        horizon = test.subject.horizon
+        horizon = test.case.horizon
         positions: list[np.ndarray] = []
         spins: list[np.ndarray] = []
         seen = test.seen_positions(OBSERVED_FRAMES)
@@ -147,12 +147,12 @@ def npe(*, angular_velocity: bool) -> Row:
     A sequence is taken apart into as many samples as it has steps to predict.
     """
 
-    def course(subject: Subject, scenes: StateSet, budget: int) -> Course[States]:
-        frames = FIRST_FORECAST_FRAME + subject.trained_horizon
+    def fit_config(case: BenchmarkCase, scenes: StateSet, budget: int) -> FitConfig[States]:
+        frames = FIRST_FORECAST_FRAME + case.trained_horizon
         batches = budget * (frames - GIVEN) // NPE_BATCH
         # Samples begin wherever a step of a training window can.
-        latest = subject.data.latest_start + frames - GIVEN - 1
-        return Course(
+        latest = case.data.latest_start + frames - GIVEN - 1
+        return FitConfig(
             batches,
             partial(scenes.drawn, GIVEN + 1, latest, NPE_BATCH, 1),
             lambda parameters: torch.optim.RMSprop(parameters, 3e-4, alpha=0.99),
@@ -161,41 +161,41 @@ def npe(*, angular_velocity: bool) -> Row:
         )
 
     build = partial(Npe, angular_velocity=angular_velocity)
-    return _from_states("npe" + ("" if angular_velocity else PLAIN), build, course)
+    return _from_states("npe" + ("" if angular_velocity else PLAIN), build, fit_config)
 
 
 def ifs(*, angular_velocity: bool) -> Row:
     """IFS, trained as VIN is: Adam at 5e-4, batches of 4; the paper's rule lowers it."""
 
-    def course(subject: Subject, scenes: StateSet, budget: int) -> Course[States]:
-        return Course(
+    def fit_config(case: BenchmarkCase, scenes: StateSet, budget: int) -> FitConfig[States]:
+        return FitConfig(
             budget // IFS_BATCH,
-            partial(scenes.drawn, FRAMES, subject.data.latest_start, IFS_BATCH, 1),
+            partial(scenes.drawn, FRAMES, case.data.latest_start, IFS_BATCH, 1),
             lambda parameters: torch.optim.Adam(parameters, 5e-4),
             Plateau,
             IFS_BATCH,
         )
 
     build = partial(Ifs, angular_velocity=angular_velocity)
-    return _from_states("ifs" + ("" if angular_velocity else PLAIN), build, course)
+    return _from_states("ifs" + ("" if angular_velocity else PLAIN), build, fit_config)
 
 
 def _from_states(
     method: str,
     build: Callable[[], Learner[States]],
-    course: Callable[[Subject, StateSet, int], Course[States]],
+    fit_config: Callable[[BenchmarkCase, StateSet, int], FitConfig[States]],
 ) -> Row:
-    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:
-        subject = test.subject.usual
-        training = StateSet(subject.recordings("training", subject.data.scenes, effort.workers))
-        known = FixedScenes(subject, "validation", VALIDATION_SCENES, effort.workers)
+    def forecasts(test: FixedScenes, budget: StudyBudget) -> Forecasts:
+        case = test.case.usual
+        training = StateSet(case.recordings("training", case.data.scenes, budget.workers))
+        known = FixedScenes(case, "validation", VALIDATION_SCENES, budget.workers)
 
         def validate(learner: Learner[States]) -> float:
             made = _forecasts(learner, known.states, known)
-            return float(made.errors_px()[:, :, subject.trained_horizon - 1].mean())
+            return float(made.errors_px()[:, :, case.trained_horizon - 1].mean())
 
-        chosen = course(subject, training, effort.sequences)
-        learner = fit(build, chosen, folder(subject, method, effort), validate)
+        chosen = fit_config(case, training, budget.sequences)
+        learner = fit(build, chosen, folder(case, method, budget), validate)
         with torch.inference_mode():
             return _forecasts(learner, test.states, test)
 
@@ -205,8 +205,8 @@ def _from_states(
 def vin() -> Row:
     """VIN: Adam at 5e-4, batches of 4; that the rate decays to a tenth is our choice."""
 
-    def course(stream: Callable[[int], Iterator[Batch]], budget: int) -> Course[Batch]:
-        return Course(
+    def fit_config(stream: Callable[[int], Iterator[Batch]], budget: int) -> FitConfig[Batch]:
+        return FitConfig(
             budget // VIN_BATCH,
             stream,
             lambda parameters: torch.optim.Adam(parameters, 5e-4),
@@ -214,10 +214,10 @@ def vin() -> Row:
             VIN_BATCH,
         )
 
-    def build(subject: Subject) -> Learner[Batch]:
-        return Vin(subject.objects, subject.trained_horizon)
+    def build(case: BenchmarkCase) -> Learner[Batch]:
+        return Vin(case.objects, case.trained_horizon)
 
-    return _from_frames("vin" + PLAIN, build, course, VIN_BATCH)
+    return _from_frames("vin" + PLAIN, build, fit_config, VIN_BATCH)
 
 
 def v_lstm(*, angular_velocity: bool) -> Row:
@@ -227,8 +227,8 @@ def v_lstm(*, angular_velocity: bool) -> Row:
     two thousand epochs and not for the seven that there are.
     """
 
-    def course(stream: Callable[[int], Iterator[Batch]], budget: int) -> Course[Batch]:
-        return Course(
+    def fit_config(stream: Callable[[int], Iterator[Batch]], budget: int) -> FitConfig[Batch]:
+        return FitConfig(
             budget // LSTM_BATCH,
             stream,
             lambda parameters: torch.optim.Adam(parameters, 3e-4),
@@ -236,44 +236,44 @@ def v_lstm(*, angular_velocity: bool) -> Row:
             LSTM_BATCH,
         )
 
-    def build(subject: Subject) -> Learner[Batch]:
-        return VLstm(subject.objects, subject.trained_horizon, angular_velocity=angular_velocity)
+    def build(case: BenchmarkCase) -> Learner[Batch]:
+        return VLstm(case.objects, case.trained_horizon, angular_velocity=angular_velocity)
 
     method = "v-lstm" + ("" if angular_velocity else PLAIN)
-    return _from_frames(method, build, course, LSTM_BATCH)
+    return _from_frames(method, build, fit_config, LSTM_BATCH)
 
 
 def _from_frames(
     method: str,
-    build: Callable[[Subject], Learner[Batch]],
-    course: Callable[[Callable[[int], Iterator[Batch]], int], Course[Batch]],
+    build: Callable[[BenchmarkCase], Learner[Batch]],
+    fit_config: Callable[[Callable[[int], Iterator[Batch]], int], FitConfig[Batch]],
     batch_size: int,
 ) -> Row:
-    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:
-        subject = test.subject.usual
-        shards = simulate_split(subject.source, "training", subject.data.scenes, effort.workers)
+    def forecasts(test: FixedScenes, budget: StudyBudget) -> Forecasts:
+        case = test.case.usual
+        shards = simulate_split(case.source, "training", case.data.scenes, budget.workers)
 
         def stream(first: int) -> Iterator[Batch]:
             drawn = TrainingStream(
                 [load_recordings(shards)],
                 [1.0],
-                [subject.data.latest_start],
+                [case.data.latest_start],
                 None,
                 batch_size,
                 seed=1,
                 first_batch=first,
-                surveys=[survey(shards, effort.workers)],
+                scene_caches=[load_scene_cache(shards, budget.workers)],
             )
             return iter(DataLoader(drawn, batch_size=None, num_workers=1, prefetch_factor=4))
 
-        known = FixedScenes(subject, "validation", VALIDATION_SCENES, effort.workers)
+        known = FixedScenes(case, "validation", VALIDATION_SCENES, budget.workers)
 
         def validate(learner: Learner[Batch]) -> float:
             made = _seen(learner, known)
-            return float(made.errors_px()[:, :, subject.trained_horizon - 1].mean())
+            return float(made.errors_px()[:, :, case.trained_horizon - 1].mean())
 
-        chosen = course(stream, effort.sequences)
-        learner = fit(partial(build, subject), chosen, folder(subject, method, effort), validate)
+        chosen = fit_config(stream, budget.sequences)
+        learner = fit(partial(build, case), chosen, folder(case, method, budget), validate)
         with torch.inference_mode():
             return _seen(learner, test)
 
@@ -281,7 +281,7 @@ def _from_frames(
 
 
 def _seen(learner: Learner[Batch], scenes: FixedScenes) -> Forecasts:
-    windows, horizon = scenes.windows, scenes.subject.horizon
+    windows, horizon = scenes.windows, scenes.case.horizon
     batches = (collate(windows[k : k + LSTM_BATCH]) for k in range(0, len(windows), LSTM_BATCH))
     made = joined([learner.forecast(batch, horizon) for batch in batches])
     positions, spins = made.arrays()
@@ -289,7 +289,7 @@ def _seen(learner: Learner[Batch], scenes: FixedScenes) -> Forecasts:
 
 
 def _forecasts(learner: Learner[States], given: States, scenes: FixedScenes) -> Forecasts:
-    positions, spins = learner.forecast(given, scenes.subject.horizon).arrays()
+    positions, spins = learner.forecast(given, scenes.case.horizon).arrays()
     return beside_truth(scenes.truth, positions, None, spins)
 
 
@@ -305,13 +305,13 @@ def ours(recipe: Recipe, member: str, method: str) -> Row:
         Of one kind of scene a scenario.
     """
 
-    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:
-        network = _trained(recipe, member, effort)
+    def forecasts(test: FixedScenes, budget: StudyBudget) -> Forecasts:
+        network = _trained(recipe, member, budget)
         return _seeing(network, test, recipe.task.final_step)
 
-    def fits(subject: Subject) -> bool:
-        seen = {share.source.change for share in recipe.data}
-        return subject.objects == recipe.task.objects and subject.change in seen
+    def fits(case: BenchmarkCase) -> bool:
+        seen = {share.source.override for share in recipe.data}
+        return case.objects == recipe.task.objects and case.override in seen
 
     return Row(method, forecasts, learns=True, given_states=False, fits=fits)
 
@@ -325,9 +325,9 @@ def ours_trained_to_each(recipes: Mapping[int, Recipe], member: str, method: str
         By T, the last step of their training.
     """
 
-    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:
+    def forecasts(test: FixedScenes, budget: StudyBudget) -> Forecasts:
         made = {
-            steps: _seeing(_trained(recipe, member, effort), test)
+            steps: _seeing(_trained(recipe, member, budget), test)
             for steps, recipe in recipes.items()
         }
         whole = made[max(made)]
@@ -343,10 +343,10 @@ def ours_trained_to_each(recipes: Mapping[int, Recipe], member: str, method: str
     return Row(method, forecasts, learns=True, given_states=False)
 
 
-def _trained(recipe: Recipe, member: str, effort: Effort) -> Network:
-    whole = replace(recipe, sequences=effort.sequences * len(recipe.data))
-    folder = runs_folder() / "studies" / (whole.name + effort.suffix)
-    Trainer(whole, folder, Pace(simulators=effort.workers)).run()
+def _trained(recipe: Recipe, member: str, budget: StudyBudget) -> Network:
+    whole = replace(recipe, sequences=budget.sequences * len(recipe.data))
+    folder = runs_folder() / "studies" / (whole.name + budget.suffix)
+    Trainer(whole, folder, TrainerConfig(simulators=budget.workers)).run()
     network = whole.build().networks()[member]
     best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
     network.load_state_dict(best["weights"][member])
@@ -359,11 +359,11 @@ def shipped(folder: Path) -> Row:
     sequences = manifest.training["sequences"]
     assert isinstance(sequences, int)
 
-    def forecasts(test: FixedScenes, effort: Effort) -> Forecasts:  # noqa: ARG001
+    def forecasts(test: FixedScenes, budget: StudyBudget) -> Forecasts:  # noqa: ARG001
         return _seeing(network, test, manifest.final_step)
 
-    def fits(subject: Subject) -> bool:
-        return subject.objects == manifest.objects
+    def fits(case: BenchmarkCase) -> bool:
+        return case.objects == manifest.objects
 
     return Row(
         manifest.label, forecasts, learns=False, given_states=False, fits=fits, sequences=sequences
@@ -372,12 +372,12 @@ def shipped(folder: Path) -> Row:
 
 def _seeing(network: Network, test: FixedScenes, final_step: int | None = None) -> Forecasts:
     alone = Family({"it": network})
-    windows, horizon = test.windows, test.subject.horizon
+    windows, horizon = test.windows, test.case.horizon
     if final_step is not None:
         windows, horizon = test.windows_until(final_step), final_step + 1
     return forecast(alone, windows, horizon, torch.device("cpu"))["it"]
 
 
-def folder(subject: Subject, method: str, effort: Effort) -> Path:
+def folder(case: BenchmarkCase, method: str, budget: StudyBudget) -> Path:
     """Where a row that learns keeps its checkpoint and its best weights."""
-    return runs_folder() / "studies" / subject.name / (method.replace(" ", "-") + effort.suffix)
+    return runs_folder() / "studies" / case.name / (method.replace(" ", "-") + budget.suffix)

@@ -4,12 +4,12 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from training.evaluate import measured_at
-from training.metrics import Forecasts
-from training.paper import published
-from training.results import Cell, Curve, Results, curve_of
-from training.studies.rows import Effort, Row
-from training.studies.subject import FixedScenes, Subject
+from training.evaluation.evaluate import measured_at
+from training.evaluation.paper import published
+from training.objectives.metrics import Forecasts
+from training.reporting.results import Curve, Measurement, Results, curve_of
+from training.studies.benchmark_case import BenchmarkCase, FixedScenes
+from training.studies.rows import Row, StudyBudget
 
 
 @dataclass(frozen=True)
@@ -21,17 +21,19 @@ class Study:
     name
         As ``python -m training study`` knows it, and the name of its page in ``docs/results``.
     by_scenes
-        Whether it compares scenes rather than methods: a line of its table is a subject.
+        Whether it compares scenes rather than methods: a line of its table is a case.
     """
 
     name: str
     title: str
     caption: str
-    subjects: tuple[Subject, ...]
+    cases: tuple[BenchmarkCase, ...]
     rows: Callable[[], tuple[Row, ...]]
     by_scenes: bool = False
 
-    def run(self, file: Path, scenes: int, effort: Effort, methods: Iterable[str]) -> Iterator[str]:
+    def run(
+        self, file: Path, scenes: int, budget: StudyBudget, methods: Iterable[str]
+    ) -> Iterator[str]:
         """Train and measure the rows that ``file`` lacks; yield what has been done.
 
         Parameters
@@ -47,63 +49,63 @@ class Study:
         if unknown:
             known = ", ".join(row.method for row in rows)
             raise ValueError(f"{self.name} has no row {sorted(unknown)}; its rows: {known}")
-        for subject in self.subjects:
+        for case in self.cases:
             test = None
             for row in rows:
-                if not row.fits(subject) or (wanted and row.method not in wanted):
+                if not row.fits(case) or (wanted and row.method not in wanted):
                     continue
-                if _known(Results.read(file), self.name, subject, row, scenes, effort):
+                if _known(Results.read(file), self.name, case, row, scenes, budget):
                     continue
-                test = test or FixedScenes(subject, "test", scenes, effort.workers)
-                made = row.forecasts(test, effort)
-                cells, curve = measured(self.name, subject, row, made, effort)
+                test = test or FixedScenes(case, "test", scenes, budget.workers)
+                made = row.forecasts(test, budget)
+                cells, curve = measured(self.name, case, row, made, budget)
                 Results.read(file).with_row(cells, curve).write(file)
                 at = cells[-1]
-                yield f"{subject.name}, {row.method}: {at.position_error_px:.2f} px at {at.at}"
+                yield f"{case.name}, {row.method}: {at.position_error_px:.2f} px at {at.at}"
 
 
 def measured(
-    study: str, subject: Subject, row: Row, made: Forecasts, effort: Effort
-) -> tuple[list[Cell], Curve]:
+    study: str, case: BenchmarkCase, row: Row, made: Forecasts, budget: StudyBudget
+) -> tuple[list[Measurement], Curve]:
     """Measure a row at the moments that are compared, and its error over time."""
-    cells: list[Cell] = []
-    reached = {at: T for at, T in subject.moments.items() if made.positions.shape[2] >= T}
+    cells: list[Measurement] = []
+    reached = {at: T for at, T in case.moments.items() if made.positions.shape[2] >= T}
     figures_at = measured_at(made, reached.values())
     for at, horizon in reached.items():
-        condition = subject.condition
-        paper = published(subject.scenario, subject.objects, row.method, at, condition)
-        cell = Cell(
-            scenario=subject.scenario,
-            objects=subject.objects,
+        condition = case.condition
+        paper = published(case.scenario, case.objects, row.method, at, condition)
+        cell = Measurement(
+            scenario=case.scenario,
+            objects=case.objects,
             method=row.method,
             variant=row.method,
             at=at,
             **figures_at[horizon]._asdict(),
             test_sequences=len(made.positions),
-            training_sequences=row.trained_on(effort),
+            training_sequences=row.trained_on(budget),
             paper_px=None if paper is None else paper.position_error_px,
             study=study,
             condition=condition,
         )
         cells.append(cell)
-    curve = curve_of(subject.scenario, subject.objects, row.method, None, made.errors_px())
-    return cells, replace(curve, study=study, condition=subject.condition)
+    curve = curve_of(case.scenario, case.objects, row.method, None, made.errors_px())
+    return cells, replace(curve, study=study, condition=case.condition)
 
 
 def _known(
-    results: Results, study: str, subject: Subject, row: Row, scenes: int, effort: Effort
+    results: Results, study: str, case: BenchmarkCase, row: Row, scenes: int, budget: StudyBudget
 ) -> bool:
     """Whether a row has been measured with as much training, and as many scenes if with all."""
-    wanted = (study, subject.scenario, subject.objects, subject.condition, row.method)
+    wanted = (study, case.scenario, case.objects, case.condition, row.method)
     return any(
         (cell.study, cell.scenario, cell.objects, cell.condition, cell.method) == wanted
-        and _enough(cell.training_sequences or 0, row, effort)
-        and (cell.test_sequences >= scenes or subject.condition != "")
+        and _enough(cell.training_sequences or 0, row, budget)
+        and (cell.test_sequences >= scenes or case.condition != "")
         for cell in results.cells
     )
 
 
-def _enough(sequences: int, row: Row, effort: Effort) -> bool:
+def _enough(sequences: int, row: Row, budget: StudyBudget) -> bool:
     """Whether a row has seen what it would now; more of it is as good where it learns."""
-    wanted = row.trained_on(effort) or 0
+    wanted = row.trained_on(budget) or 0
     return sequences >= wanted if row.learns else sequences == wanted

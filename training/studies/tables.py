@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 
-from training.report import title
-from training.results import Cell, Curve, Results
+from training.reporting.markdown import title
+from training.reporting.results import Curve, Measurement, Results
+from training.studies.benchmark_case import BenchmarkCase
 from training.studies.claims import CLAIMS, Verdict, verdicts
 from training.studies.rows import Row
 from training.studies.study import Study
-from training.studies.subject import Subject
 
 MISSING = "not measured"
 
@@ -23,9 +23,9 @@ def page(study: Study, results: Results) -> str:
     if own.cells:
         parts.append(f"![Errors at both horizons]({bars_name(study)})")
     parts += [
-        f"![Error over time, {_scenes(subject)}]({curves_name(study, subject)})"
-        for subject in study.subjects
-        if curves_of(own, subject) and not study.by_scenes
+        f"![Error over time, {_scenes(case)}]({curves_name(study, case)})"
+        for case in study.cases
+        if curves_of(own, case) and not study.by_scenes
     ]
     claimed = [claim for claim in CLAIMS if claim.study == study.name]
     if claimed:
@@ -38,14 +38,14 @@ def bars_name(study: Study) -> str:
     return f"{study.name}-bars.png"
 
 
-def curves_name(study: Study, subject: Subject) -> str:
-    """Name the picture of a subject's errors over time."""
-    return f"{study.name}-{subject.source.name}.png"
+def curves_name(study: Study, case: BenchmarkCase) -> str:
+    """Name the picture of a case's errors over time."""
+    return f"{study.name}-{case.source.name}.png"
 
 
-def curves_of(results: Results, subject: Subject) -> list[Curve]:
-    """Return the errors over time that were measured on a subject."""
-    wanted = (subject.scenario, subject.objects, subject.condition)
+def curves_of(results: Results, case: BenchmarkCase) -> list[Curve]:
+    """Return the errors over time that were measured on a case."""
+    wanted = (case.scenario, case.objects, case.condition)
     return [
         curve
         for curve in results.curves
@@ -56,30 +56,30 @@ def curves_of(results: Results, subject: Subject) -> list[Curve]:
 def _table(study: Study, results: Results) -> str:
     """Return a line a method; bold are the least errors of those that see frames."""
     rows = study.rows()
-    columns = [(subject, at) for subject in study.subjects for at in subject.moments]
-    heads = [f"{_scenes(subject)}, {at}" for subject, at in columns]
+    columns = [(case, at) for case in study.cases for at in case.moments]
+    heads = [f"{_scenes(case)}, {at}" for case, at in columns]
     lines = [
         f"| method | given | {' | '.join(heads)} | trained on |",
         "|" + "---|" * (len(columns) + 3),
     ]
     best = {
-        (subject, at): min(
+        (case, at): min(
             (
                 cell.position_error_px
                 for row in rows
-                if not row.given_states and (cell := _found(results, subject, row.method, at))
+                if not row.given_states and (cell := _found(results, case, row.method, at))
             ),
             default=None,
         )
-        for subject, at in columns
+        for case, at in columns
     }
     for row in {row.method: row for row in rows}.values():
         fitting = [one for one in rows if one.method == row.method]
         texts = [
-            _cell(_found(results, subject, row.method, at), best[subject, at])
-            if any(one.fits(subject) for one in fitting)
+            _cell(_found(results, case, row.method, at), best[case, at])
+            if any(one.fits(case) for one in fitting)
             else "-"
-            for subject, at in columns
+            for case, at in columns
         ]
         given = "states" if row.given_states else "frames"
         lines.append(f"| {row.method} | {given} | {' | '.join(texts)} | {_seen(results, row)} |")
@@ -99,38 +99,36 @@ def _seen(results: Results, row: Row) -> str:
 
 
 def _table_by_scenes(study: Study, results: Results) -> str:
-    """Return a line a subject, with every method's errors."""
+    """Return a line a case, with every method's errors."""
     methods = [row.method for row in study.rows()]
     lines = [
         f"| scenes | number | {' | '.join(methods)} |",
         "|" + "---|" * (len(methods) + 2),
     ]
-    for subject in study.subjects:
-        cells = [
-            [_found(results, subject, method, at) for at in subject.moments] for method in methods
-        ]
+    for case in study.cases:
+        cells = [[_found(results, case, method, at) for at in case.moments] for method in methods]
         errors = [
             " / ".join(f"{cell.position_error_px:.1f}" if cell else MISSING for cell in of_method)
             for of_method in cells
         ]
         number = next((str(cell.test_sequences) for row in cells for cell in row if cell), "-")
-        lines.append(f"| {_scenes(subject)} | {number} | {' | '.join(errors)} |")
+        lines.append(f"| {_scenes(case)} | {number} | {' | '.join(errors)} |")
     return "\n".join(lines)
 
 
-def _scenes(subject: Subject) -> str:
-    return title(subject.scenario, subject.objects, subject.condition)
+def _scenes(case: BenchmarkCase) -> str:
+    return title(case.scenario, case.objects, case.condition)
 
 
-def _found(results: Results, subject: Subject, method: str, at: str) -> Cell | None:
-    wanted = (subject.scenario, subject.objects, subject.condition, method, at)
+def _found(results: Results, case: BenchmarkCase, method: str, at: str) -> Measurement | None:
+    wanted = (case.scenario, case.objects, case.condition, method, at)
     for cell in results.cells:
         if (cell.scenario, cell.objects, cell.condition, cell.method, cell.at) == wanted:
             return cell
     return None
 
 
-def _cell(cell: Cell | None, best: float | None) -> str:
+def _cell(cell: Measurement | None, best: float | None) -> str:
     """Our error, angular velocity's in brackets, and the paper's after a stroke."""
     if cell is None:
         return MISSING

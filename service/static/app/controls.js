@@ -78,6 +78,15 @@ export function showControls(choices, entries, store) {
   byId("summary").textContent = summaryOf(choices);
 }
 
+/** Show whether the service can simulate; otherwise footage is the only source of frames. */
+export function showSimulation(isInstalled) {
+  const radio = byId("source-scene");
+  radio.disabled = !isInstalled;
+  radio.nextElementSibling.textContent = isInstalled
+    ? "Simulated scene"
+    : "Simulated scene (not installed)";
+}
+
 function showBalls(choices, entries) {
   const served = (balls) => isServed(entries, { ...choices, balls, finalFrame: false });
   for (const balls of [1, 2, 3, 4]) byId(`balls-${balls}`).disabled = !served(balls);

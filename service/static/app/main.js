@@ -3,7 +3,7 @@
 import { health, LostService, models, ServiceProblem } from "./api.js";
 import { Bring } from "./bring.js";
 import { Chart } from "./chart.js";
-import { installControls, possible, showControls } from "./controls.js";
+import { installControls, possible, showControls, showSimulation } from "./controls.js";
 import { byId } from "./dom.js";
 import { signedSeconds } from "./figures.js";
 import { clearMessages, showError, showWait } from "./messages.js";
@@ -28,6 +28,8 @@ const WAITING = {
   draining: "The service is shutting down …",
   lost: "Waiting for the service …",
 };
+/** Status of `POST /simulate` when the service has no PyBullet. */
+const NOT_INSTALLED = 501;
 const CALM = matchMedia("(prefers-reduced-motion: reduce)");
 
 const store = createStore(choicesFrom(location.hash));
@@ -106,6 +108,12 @@ async function run() {
   } catch (error) {
     if (error.name === "AbortError") return;
     showBusy(null);
+    if (error instanceof ServiceProblem && error.problem.status === NOT_INSTALLED) {
+      showSimulation(false);
+      store.set({ source: "footage" });
+      showError(error);
+      return;
+    }
     showError(error, error instanceof ServiceProblem && error.problem.status === 422 ? undefined : run);
     interrupted = error instanceof LostService;
     if (interrupted) showHealth("lost");
@@ -287,6 +295,7 @@ async function watch() {
   if (status === "ready" && (was !== "ready" || !entries.length)) {
     try {
       entries = await models();
+      showSimulation(true);
       Object.assign(store.get(), possible(store.get(), entries));
       showControls(store.get(), entries, store);
       if (interrupted || (!session.take && store.get().source === "scene")) run();

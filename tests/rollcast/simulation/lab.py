@@ -133,10 +133,18 @@ def turned(start: Scene) -> Scene:
         x, y, z, w = q
         return half * (x - y), half * (y + x), half * (z + w), half * (w - z)
 
-    light = start.light_position_m
+    light, slope, walls, spins = (
+        start.light_position_m,
+        start.slope,
+        start.walls_m,
+        start.spins_rad_s,
+    )
     return start.model_copy(
         update={
             "rotation_rad": start.rotation_rad + math.pi / 2,
+            "slope": None if slope is None else (-slope[1], slope[0]),
+            "walls_m": None if walls is None else (-walls[3], walls[0], -walls[1], walls[2]),
+            "spins_rad_s": None if spins is None else tuple(turn(spin) for spin in spins),
             "light_position_m": None if light is None else turn(light),
             "positions_m": tuple(turn(position) for position in start.positions_m),
             "velocities_m_s": tuple(turn(velocity) for velocity in start.velocities_m_s),

@@ -20,6 +20,7 @@ CASES = [
     ("hemisphere", 3),
     ("ellipsoid", 1),
     ("ellipsoid", 2),
+    ("table", 2),
     ("heightfield", 1),
     ("heightfield", 2),
 ]

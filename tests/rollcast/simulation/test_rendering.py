@@ -17,8 +17,9 @@ LOW, HIGH = (0.1, 0.05, 0.3), (0.02, -0.06, 0.8)
 
 @pytest.fixture(scope="module")
 def scenes(simulator) -> dict[str, Scene]:
-    """One scene with three balls of each scenario."""
-    return {name: simulator.sequence(name, 3, 1, 4).scene for name in SCENARIOS}
+    """One scene with three large balls of each scenario (tables draw smaller ones too)."""
+    scenes = {name: simulator.sequence(name, 3, 1, 4).scene for name in SCENARIOS}
+    return {name: scene.model_copy(update={"radius_m": 0.225}) for name, scene in scenes.items()}
 
 
 def one_ball(**fields: object) -> Scene:

@@ -68,7 +68,7 @@ def test_balls_appear_where_pybullet_sees_them(stage, simulator, scenario):
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_the_same_ball_is_on_top(stage, simulator, scenario):
-    scene = simulator.sequence(scenario, 3, 1, 4).scene
+    scene = simulator.sequence(scenario, 3, 1, 4).scene.model_copy(update={"radius_m": 0.225})
     generator = np.random.default_rng(4)
     for _ in range(6):
         heights = generator.permutation([0.9, 1.2, 1.5])

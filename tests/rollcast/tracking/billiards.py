@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from rollcast.film import write_film
+from rollcast.video_writer import write_film
 
 WIDTH, HEIGHT = 240, 180
 RADIUS_PX = 9.0

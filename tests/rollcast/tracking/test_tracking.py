@@ -5,11 +5,11 @@ import pytest
 from PIL import Image
 
 from rollcast.errors import CropError, FootageError
-from rollcast.film import write_film
 from rollcast.footage import SquareCrop
 from rollcast.tracking.overlay import draw_tracks
 from rollcast.tracking.track import Tracked, track
 from rollcast.tracking.tracks import Tracks
+from rollcast.video_writer import write_film
 from tests.rollcast.tracking.billiards import (
     BALLS,
     COLOURS,

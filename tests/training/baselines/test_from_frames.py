@@ -8,7 +8,7 @@ import torch
 from training.baselines.learner import Learner
 from training.baselines.vin import Vin
 from training.baselines.vlstm import CONVOLUTIONS, AlexNetEncoder, VLstm
-from training.dataset import Batch
+from training.data.windows import Batch
 
 HORIZON = 4
 

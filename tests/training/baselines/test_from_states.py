@@ -5,12 +5,12 @@ from functools import partial
 import pytest
 import torch
 
-from training.baselines.fitting import Course, fit
+from training.baselines.fitting import FitConfig, fit
 from training.baselines.ifs import Ifs
 from training.baselines.learner import Learner
 from training.baselines.npe import Npe
 from training.baselines.states import States
-from training.schedules import Exponential
+from training.objectives.schedules import Exponential
 
 LEARNERS = [partial(Npe, angular_velocity=True), partial(Npe, angular_velocity=False),
             partial(Ifs, angular_velocity=True), partial(Ifs, angular_velocity=False)]  # fmt: skip
@@ -24,8 +24,10 @@ def spring(sequences: int, frames: int, seed: int) -> States:
     drift = 0.01 * torch.randn(sequences, 2, generator=generator)
     swing = 0.02 * torch.randn(sequences, 2, generator=generator)
     times = torch.arange(-1, frames)[None, :, None]
-    pace = 0.3
-    offset = apart[:, None] * (pace * times).cos() + swing[:, None] / pace * (pace * times).sin()
+    config = 0.3
+    offset = (
+        apart[:, None] * (config * times).cos() + swing[:, None] / config * (config * times).sin()
+    )
     centre = middle[:, None] + drift[:, None] * times
     positions = torch.stack([centre + offset, centre - offset], dim=1)
     return States(
@@ -94,10 +96,10 @@ def test_a_spring_is_learned_from_a_thousand_samples(build, frames, rate, batche
         made = learner.forecast(unseen, 11).positions
         return float((made - truth)[:, :, 10].norm(dim=-1).mean().detach())
 
-    course = Course(
+    fit_config = FitConfig(
         batches, stream, lambda p: torch.optim.Adam(p, rate), lambda: Exponential(0.05), 50
     )
-    learner = fit(build, course, tmp_path, error)
+    learner = fit(build, fit_config, tmp_path, error)
     straight = unseen.positions[:, :, 3] + 10 * unseen.velocities[:, :, 3]
     line = float((64 * (1 + straight) - truth[:, :, 10]).norm(dim=-1).mean())
     assert error(learner) < line / 5
@@ -122,18 +124,20 @@ def test_a_training_that_was_stopped_ends_as_one_that_was_not(tmp_path):
                 raise StoppedError
             yield batch
 
-    def course(batches) -> Course[States]:
-        return Course(20, batches, lambda p: torch.optim.Adam(p, 1e-3), lambda: Exponential(0.5), 8)
+    def fit_config(batches) -> FitConfig[States]:
+        return FitConfig(
+            20, batches, lambda p: torch.optim.Adam(p, 1e-3), lambda: Exponential(0.5), 8
+        )
 
     def error(learner: Learner[States]) -> float:
         return float(learner.loss(samples, 1.0).detach())
 
     build = LEARNERS[2]
-    whole = fit(build, course(stream), tmp_path / "whole", error)
+    whole = fit(build, fit_config(stream), tmp_path / "whole", error)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("training.baselines.fitting.CHECKPOINT_SECONDS", 0.0)
         with pytest.raises(StoppedError):
-            fit(build, course(stopping), tmp_path / "stopped", error)
-    resumed = fit(build, course(stream), tmp_path / "stopped", error)
+            fit(build, fit_config(stopping), tmp_path / "stopped", error)
+    resumed = fit(build, fit_config(stream), tmp_path / "stopped", error)
     for one, other in zip(whole.parameters(), resumed.parameters(), strict=True):
         assert torch.equal(one, other)

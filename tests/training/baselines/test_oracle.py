@@ -8,7 +8,7 @@ from rollcast.simulation.recording import TEST_START
 from rollcast.simulation.sampling import draw_scene, scene_generator
 from rollcast.surfaces import HEIGHTFIELD_HALF_WIDTH_M
 from training.baselines.oracle import Oracle
-from training.simulate import Source, load_recordings, simulate_split
+from training.data.shards import Source, load_recordings, simulate_split
 
 HORIZON = 20
 

@@ -6,9 +6,9 @@ import torch
 
 from rollcast.simulation.recording import TEST_START
 from training.baselines.states import VELOCITY_UNIT, StateSet, turned
-from training.dataset import Symmetry, Window, WindowMaker
-from training.models.predictor import ANGULAR_VELOCITY_UNIT
-from training.simulate import Source, load_recordings, simulate_split
+from training.data.shards import Source, load_recordings, simulate_split
+from training.data.windows import Symmetry, Window, WindowMaker
+from training.networks.recurrent import ANGULAR_VELOCITY_UNIT
 
 HORIZON = 20
 

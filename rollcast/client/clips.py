@@ -1,0 +1,76 @@
+"""Four frames of a video, as the client sends them (extra ``video``)."""
+
+from pathlib import Path
+from typing import TypeAlias, TypeGuard
+
+from rollcast.client.calls import ForecastOptions
+from rollcast.client.images import Frames
+from rollcast.errors import MissingExtraError
+from rollcast.footage import Footage, SquareCrop
+from rollcast.schemas import AUTO_MODEL, ModelDetail
+from rollcast.trajectory import FRAME_RATE_HZ
+
+Clip: TypeAlias = Path | str
+"""Path of a video file."""
+LONG_BLEND_S = 0.05
+"""Distance of two frames, in time, over which a ball may move too far for them to be blended."""
+
+
+def is_clip(frames: "Frames | Clip") -> TypeGuard[Clip]:
+    """Return whether frames are given as the path of one video."""
+    return isinstance(frames, Path | str)
+
+
+def named_model(options: ForecastOptions) -> tuple[str, int | None] | None:
+    """Return name and version of the model that is asked for, None for "auto"."""
+    name, _, version = options.get("model", AUTO_MODEL).partition("@")
+    return None if name == AUTO_MODEL else (name, int(version) if version.isdecimal() else None)
+
+
+def read_clip(
+    clip: Clip, options: ForecastOptions, model: ModelDetail | None
+) -> tuple[Frames, ForecastOptions, tuple[str, ...]]:
+    """Read four frames as a model knows them.
+
+    Parameters
+    ----------
+    clip
+        Video file.
+    options
+        Options of the forecast: ``start_s`` and ``frame_rate`` say which frames are read.
+    model
+        The model that is asked for, whose frame rate and square are used; None for "auto".
+
+    Returns
+    -------
+    tuple
+        The frames, the options that remain for the service, and warnings.
+
+    Raises
+    ------
+    MissingExtraError
+        When PyAV is not installed.
+    FootageError
+        When the clip cannot be read, or ends too early.
+    """
+    try:
+        from rollcast.video import read_frames
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("videos need", "PyAV", "video") from error
+    rate = options.get("frame_rate") or (model and model.frame_rate_hz) or FRAME_RATE_HZ
+    crop = SquareCrop(*model.rig.crop) if model and model.rig else None
+    seen = read_frames(clip, start_s=options.get("start_s") or 0.0, crop=crop, frame_rate=rate)
+    rest = options | ForecastOptions(frame_rate=seen.frame_rate, start_s=None, crop=None)
+    return seen.frames, rest, blend_warnings(seen, rate)
+
+
+def blend_warnings(footage: Footage, rate: float) -> tuple[str, ...]:
+    """Return a warning when frames are blended that the camera did not take."""
+    over_s = footage.blended_over_s
+    if not over_s:
+        return ()
+    text = (
+        f"the camera took no frames {rate:g} a second apart: they are blended from those before "
+        f"and after, up to {1e3 * over_s:.0f} ms apart"
+    )
+    return (text if over_s <= LONG_BLEND_S else f"{text}, which is long for a ball that rolls",)

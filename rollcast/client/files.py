@@ -1,0 +1,77 @@
+"""Forecasts as files: JSON, CSV, pictures and videos."""
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rollcast.client import pictures, tables
+from rollcast.client.images import Crop, Frames
+from rollcast.schemas import ForecastObject, PredictResponse
+from rollcast.video_writer import write_film
+
+if TYPE_CHECKING:
+    from rollcast.client.results import Forecast
+
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+VIDEOS = (".mp4", ".webm", ".gif")
+TEXTS = (".json", ".csv")
+
+
+def save(
+    forecast: "Forecast",
+    path: Path,
+    frames: Frames | None,
+    times_s: Sequence[float] | None,
+    crop: Crop | None,
+) -> None:
+    """Write a forecast as ``Forecast.save`` describes."""
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        path.write_text(forecast_json(forecast) + "\n", encoding="utf-8")
+    elif suffix == ".csv":
+        text = tables.csv_text(tables.forecast_columns(forecast))
+        path.write_text(text + "\n", encoding="utf-8")
+    elif suffix in PICTURES:
+        pictures.forecast(forecast, frames, times_s, crop).save(path)
+    elif suffix in VIDEOS:
+        write_film(path, pictures.film(forecast, frames, times_s, crop), forecast.frame_rate)
+    else:
+        known = ", ".join((*PICTURES, *VIDEOS, *TEXTS))
+        raise ValueError(f"{path} ends in {suffix!r}, expected one of {known}")
+
+
+def forecast_json(forecast: "Forecast") -> str:
+    """Return the body of the answer that a forecast was made of."""
+    turning = forecast.angular_velocities
+    final = forecast.final_positions
+    body = {
+        **{
+            name: getattr(forecast, name)
+            for name in ("model", "frame_size", "frame_rate", "warnings", "timing_ms")
+        },
+        "objects": [
+            ForecastObject.model_validate(
+                {
+                    "id": index,
+                    "color": color,
+                    "positions": forecast.positions[index].tolist(),
+                    "covariances": forecast.covariances[index].tolist(),
+                    "covariance_source": forecast.covariance_source,
+                    "angular_velocities": None if turning is None else turning[index].tolist(),
+                }
+            )
+            for index, color in enumerate(forecast.colors)
+        ],
+        "times_s": forecast.times_s.tolist(),
+        "half_radii": forecast.half_radii.tolist(),
+        "final_positions": None if final is None else final.tolist(),
+    }
+    return PredictResponse.model_validate(body).model_dump_json()
+
+
+def png(forecast: "Forecast") -> bytes:
+    """Return a picture of a forecast without frames as a PNG file."""
+    buffer = io.BytesIO()
+    pictures.forecast(forecast, None, None, None).save(buffer, "PNG")
+    return buffer.getvalue()

@@ -1,0 +1,44 @@
+"""How the graph of a network's eye is asked, by the service and by those who prove an export."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+
+from rollcast.manifest import FRAMES_INPUT
+from rollcast.trajectory import OBSERVED_FRAMES
+
+PLACES = "places"
+"""Output of the eye's graph: where the balls are in the last of the frames, [B, N, 2]."""
+FINALS = "finals"
+"""Input of the encoder's graph of a network that also sees a final frame: the places there."""
+
+Run = Callable[[Sequence[str], dict[str, Any]], Sequence[np.ndarray]]
+"""Runs a graph: names of the wanted outputs and inputs by name to the outputs, [B, ...] all."""
+
+
+def run_perception(
+    run: Run, wanted: Sequence[str], frames: UInt8[np.ndarray, "B K 128 128 3"]
+) -> dict[str, np.ndarray]:
+    """Return what an encoder reads of the frames.
+
+    A final frame is seen as four of balls at rest, in the same run (decisions 0019, 0112).
+
+    Parameters
+    ----------
+    run
+        Runs the eye's graph.
+    wanted
+        Names of the encoder's inputs.
+    """
+    if FINALS not in wanted:
+        return dict(zip(wanted, run(wanted, {FRAMES_INPUT: frames}), strict=True))
+    at_rest = np.repeat(frames[:, OBSERVED_FRAMES:], OBSERVED_FRAMES, axis=1)
+    seen = np.concatenate([frames[:, :OBSERVED_FRAMES], at_rest])
+    asked = [PLACES if name == FINALS else name for name in wanted]
+    observed, final = slice(len(frames)), slice(len(frames), None)
+    return {
+        name: values[final if name == FINALS else observed]
+        for name, values in zip(wanted, run(asked, {FRAMES_INPUT: seen}), strict=True)
+    }

@@ -1,0 +1,471 @@
+"""Bodies of the HTTP API: what goes in, what comes out, what a refusal looks like.
+
+Positions are pixels of the frames that the user sent or asked for: x to the right, y down, (0, 0)
+the top-left corner of the top-left pixel. Angular velocities are rad/s about the world's axes. Time
+t = 0 is the last observed frame.
+"""
+
+import binascii
+from typing import Annotated, Any, Literal, TypeVar, cast
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    JsonValue,
+    Strict,
+    WithJsonSchema,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+from rollcast.scene import (
+    MAX_FORECAST_OBJECTS,
+    MAX_OBJECTS,
+    MAX_SEED,
+    BallColor,
+    Color,
+    Domain,
+    Scenario,
+    Scene,
+)
+from rollcast.trajectory import OBSERVED_FRAMES
+
+API_VERSION = "1.0"
+AUTO_MODEL = "auto"
+REQUEST_ID_HEADER = "X-Request-ID"
+REPLICA_HEADER = "X-Rollcast-Replica"
+MAX_HORIZON = 1000
+DEFAULT_HORIZON = 40
+MIN_STEPS = OBSERVED_FRAMES
+MAX_STEPS = 1000
+MIN_FRAME_SIZE = 32
+MAX_FRAME_SIZE = 4096
+"""Sides of a frame that /predict reads, in pixels."""
+MAX_IMAGE_SIZE = 1024
+"""Largest side of a frame that /simulate draws, in pixels."""
+
+
+def _decode_base64(value: object) -> object:
+    """Turn base64 text into bytes; multipart parts are bytes already."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return binascii.a2b_base64(value, strict_mode=True)
+    except ValueError as error:
+        raise ValueError("base64 of a PNG, JPEG or WebP file, without line breaks") from error
+
+
+def _without_point(value: object) -> object:
+    """Turn 20.0 into 20: clients whose numbers are all floats write whole numbers so."""
+    return int(value) if type(value) is float and value.is_integer() else value
+
+
+Integer = Annotated[int, Strict(), BeforeValidator(_without_point)]
+Number = Annotated[float, Strict()]
+Flag = Annotated[bool, Strict()]
+ObjectCount = Annotated[Integer, Field(ge=1, le=MAX_OBJECTS)]
+EncodedImage = Annotated[
+    bytes,
+    BeforeValidator(_decode_base64),
+    WithJsonSchema({"type": "string", "contentEncoding": "base64"}),
+]
+Point = tuple[Number, Number]
+Vector = tuple[Number, Number, Number]
+Matrix = tuple[Point, Point]
+Size = tuple[int, int]
+Item = TypeVar("Item")
+PerBall = Annotated[tuple[Item, ...], Field(max_length=MAX_OBJECTS, fail_fast=True)]
+"""A value of every ball."""
+
+
+class RequestBody(BaseModel):
+    """What a client sends: unknown fields, NaN and infinities are refused, numbers are numbers."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class ResponseBody(BaseModel):
+    """What the service answers; a client ignores fields that a newer service has added."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class PredictRequest(RequestBody):
+    """Body of ``POST /predict``, as JSON or, with the images as file parts, as multipart."""
+
+    model: str = AUTO_MODEL
+    """"auto", NAME (its default version) or NAME@VERSION."""
+    frames: Annotated[
+        list[EncodedImage], Field(min_length=OBSERVED_FRAMES, max_length=OBSERVED_FRAMES)
+    ]
+    """The four observed frames in order, t = -3..0: base64 of square PNG, JPEG or WebP files of one
+    size, 32 to 4096 pixels a side. Transparent pixels are composed on white."""
+    final_frame: EncodedImage | None = None
+    """A frame of the same size that shows step ``final_step`` of the model."""
+    final_step: Annotated[Integer, Field(ge=1)] | None = None
+    """Step that the final frame shows; only the model's own is accepted."""
+    horizon: Annotated[Integer, Field(ge=1, le=MAX_HORIZON)] | None = None
+    """Number of steps, t = 0..horizon-1: 40 by default, with a final frame ``final_step`` + 1."""
+    objects: Annotated[Integer, Field(ge=1, le=MAX_FORECAST_OBJECTS)] | None = None
+    """Number of balls: by default the named model's, with "auto" one."""
+    scenario: Domain | None = None
+    """Narrows the choice to models made for this scenario, or for footage of a set-up of one's
+    own."""
+    frame_rate: Annotated[Number, Field(gt=0, le=100_000)] | None = None
+    """Frames a second of the observed frames, by default as many as the model was trained on; the
+    forecast's steps are as far apart."""
+
+
+class ModelReference(ResponseBody):
+    """The model that answered."""
+
+    name: str
+    version: int
+    variant: str
+    trained_horizon: int
+    """Steps that training has seen; later ones are extrapolated."""
+
+
+class ForecastObject(ResponseBody):
+    """The forecast of one ball."""
+
+    id: int
+    color: BallColor
+    positions: list[Point]
+    """[horizon][x, y], pixels."""
+    covariances: list[Matrix]
+    """[horizon][2][2], square pixels."""
+    covariance_source: Literal["predicted", "empirical"]
+    """``predicted`` by the network for these frames, or ``empirical``: the model's residuals on
+    validation data at that step."""
+    angular_velocities: list[Vector] | None
+    """[horizon][x, y, z], rad/s; None when the model has none."""
+
+
+class PredictTiming(ResponseBody):
+    """Where the time went, in milliseconds."""
+
+    decode: float
+    encode: float
+    rollout: float
+    total: float
+    """From the parsed request to the answer, the wait in the queue not counted."""
+
+
+class ForecastSummary(ResponseBody):
+    """What an answer says besides its steps."""
+
+    model: ModelReference
+    frame_size: Size
+    """Width and height of the frames that were sent: the unit of every position."""
+    frame_rate: float
+    final_positions: list[Point] | None
+    """Where the final frame was seen to show each ball, pixels."""
+    warnings: list[str]
+    timing_ms: PredictTiming
+
+
+class PredictResponse(ForecastSummary):
+    """Answer of ``POST /predict``."""
+
+    objects: list[ForecastObject]
+    times_s: list[float]
+    """Seconds after the last observed frame of each step."""
+    half_radii: list[float]
+    """[horizon]: radius, in standard deviations of ``covariances``, of the ellipse that should hold
+    the truth every second time; 1.18 of a Gaussian, less where the model's errors have heavy tails.
+    The ellipse that should hold 95 % always has a Gaussian's radius, 2.45."""
+
+
+class StreamObject(ResponseBody):
+    """One ball at one step."""
+
+    id: int
+    position: Point
+    """Pixels."""
+    covariance: Matrix
+    """Square pixels."""
+    angular_velocity: Vector | None
+    """rad/s; None when the model has none."""
+
+
+class StreamStep(ResponseBody):
+    """Event ``step`` of ``POST /predict/stream``, one for every step."""
+
+    step: int
+    time_s: float
+    """Seconds after the last observed frame."""
+    half_radius: float
+    """Of this step, as in ``PredictResponse.half_radii``."""
+    objects: list[StreamObject]
+
+
+class StreamBall(ResponseBody):
+    """What does not change from step to step of one ball."""
+
+    id: int
+    color: BallColor
+    covariance_source: Literal["predicted", "empirical"]
+
+
+class StreamDone(ForecastSummary):
+    """Event ``done`` of ``POST /predict/stream``, the last one."""
+
+    objects: list[StreamBall]
+
+
+class SceneParameters(RequestBody):
+    """Fields of ``rollcast.scene.Scene``, all optional; those left out or null are sampled."""
+
+    radius_m: Number | None = None
+    rotation_rad: Number | None = None
+    axis_ratio: Number | None = None
+    noise_scale: Number | None = None
+    noise_offset_m: Point | None = None
+    light_position_m: Vector | None = None
+    slope: Point | None = None
+    walls_m: tuple[Number, Number, Number, Number] | None = None
+    friction: Number | None = None
+    ball_friction: Number | None = None
+    wall_friction: Number | None = None
+    rolling_resistance: Number | None = None
+    damping: Number | None = None
+    ball_restitution: Number | None = None
+    wall_restitution: Number | None = None
+    mass_ratios: PerBall[Number] | None = None
+    spins_rad_s: PerBall[Vector] | None = None
+    positions_m: Annotated[PerBall[Vector], Field(min_length=1)] | None = None
+    velocities_m_s: PerBall[Vector] | None = None
+    orientations_xyzw: PerBall[tuple[Number, Number, Number, Number]] | None = None
+
+    def given(self) -> dict[str, Any]:
+        """Return the parameters that were given, by name."""
+        return self.model_dump(exclude_none=True)
+
+
+class SimulateRequest(RequestBody):
+    """Body of ``POST /simulate``.
+
+    ``scene`` takes any subset of a scene's fields, ``scenario``, ``seed`` and ``textured``
+    included, so that a returned scene can be posted back. Each of them may instead stand beside
+    ``scene``, at the top level; one that stands in both places must be the same in both.
+    """
+
+    scenario: Scenario
+    seed: Annotated[Integer, Field(ge=0, le=MAX_SEED)]
+    """The same seed gives the same bytes."""
+    objects: ObjectCount | None = None
+    """Number of balls: by default that of ``scene.positions_m``, else one."""
+    steps: Annotated[Integer, Field(ge=MIN_STEPS, le=MAX_STEPS)] = OBSERVED_FRAMES + DEFAULT_HORIZON
+    start_step: Annotated[Integer, Field(ge=0, le=MAX_STEPS)] | None = None
+    """First step of the answer, counted from the start of the simulation; by default the calibrated
+    test start."""
+    image_size: Annotated[Integer, Field(ge=MIN_FRAME_SIZE, le=MAX_IMAGE_SIZE)] = 128
+    """Side of the frames in pixels."""
+    textured: Flag | None = None
+    """By default true for one ball, false for several."""
+    include_frames: Flag = True
+    include_surface: Flag = False
+    scene: SceneParameters = SceneParameters()
+    """Parameters that shall not be sampled."""
+
+    @property
+    def balls(self) -> int:
+        """Number of balls that is asked for."""
+        return self.objects or len(self.scene.positions_m or (None,))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_place_for_each_parameter(cls, data: object) -> object:
+        if not isinstance(data, dict):
+            return data
+        body = dict(cast("dict[str, Any]", data))
+        scene = body.pop("scene", None)
+        if scene is None:
+            scene = {}
+        if not isinstance(scene, dict):
+            return body | {"scene": scene}
+        inside = _without_nulls(cast("dict[str, Any]", scene))
+        beside = _without_nulls(
+            {name: body.pop(name) for name in Scene.model_fields if name in body}
+        )
+        for name in sorted(inside.keys() & beside.keys()):
+            if inside[name] != beside[name]:
+                raise PydanticCustomError(
+                    "given_twice",
+                    "{field} and scene.{field} differ",
+                    {"field": name, "value": beside[name], "expected": f"the same as scene.{name}"},
+                )
+        given = inside | beside
+        shared = {name: given.pop(name) for name in cls.model_fields if name in given}
+        return body | shared | {"scene": given}
+
+    @model_validator(mode="after")
+    def _balls_agree(self) -> "SimulateRequest":
+        if self.textured and self.balls > 1:
+            raise PydanticCustomError(
+                "textured_balls",
+                "several balls are told by their colour",
+                {"field": "textured", "value": True, "expected": "false with several balls"},
+            )
+        positions = self.scene.positions_m
+        if positions is not None and len(positions) != self.balls:
+            raise PydanticCustomError(
+                "balls_differ",
+                "objects and scene.positions_m differ",
+                {
+                    "field": "objects",
+                    "value": self.objects,
+                    "expected": f"{len(positions)}, the number of scene.positions_m",
+                },
+            )
+        return self
+
+
+def _without_nulls(fields: dict[str, Any]) -> dict[str, Any]:
+    """Drop the fields of a scene that are null: a returned scene says so of those it has not."""
+    return {
+        name: value
+        for name, value in fields.items()
+        if value is not None or name not in Scene.model_fields
+    }
+
+
+class SimulatedObject(ResponseBody):
+    """The true path of one ball."""
+
+    id: int
+    color: Color
+    radius_px: float
+    positions: list[Point]
+    """[steps][x, y], pixels."""
+    angular_velocities: list[Vector]
+    """[steps][x, y, z], rad/s."""
+
+
+class SurfaceGrid(ResponseBody):
+    """Heights of the ground at points that span the frame from edge to edge."""
+
+    half_width_m: float
+    """Half the side of the square that the frame shows, metres."""
+    heights_m: list[list[float | None]]
+    """[n][n] rows from the frame's top to its bottom, columns from left to right; the outermost
+    points lie on its edges. Metres, to the nearest micrometre; None where there is no surface."""
+
+
+class SimulateResponse(ResponseBody):
+    """Answer of ``POST /simulate``.
+
+    Frames 0..3 can be posted to /predict unchanged; forecast step t then belongs to index t + 3.
+    """
+
+    scenario: Scenario
+    seed: int
+    frame_rate: float
+    frame_size: Size
+    start_step: int
+    """Step of the simulation that index 0 shows."""
+    times_s: list[float]
+    """Seconds after index 0."""
+    frames: list[str] | None
+    """[steps] base64 PNG; None when they were not asked for."""
+    objects: list[SimulatedObject]
+    surface: SurfaceGrid | None = None
+    """None when it was not asked for."""
+    scene: Scene
+
+
+class ModelMetrics(ResponseBody):
+    """Accuracy of a model, in pixels of 128 x 128 frames."""
+
+    validation_error_px: float
+    """The number by which "auto" chooses."""
+    rows: list[dict[str, JsonValue]]
+    """One row per split, scenario and horizon (``rollcast.manifest.MetricRow``)."""
+
+
+class ModelRig(ResponseBody):
+    """The set-up whose footage a model was trained on."""
+
+    colors: list[BallColor]
+    """Of each ball, in the order of a forecast's objects."""
+    crop: tuple[int, int, int]
+    """x, y and size of the square of the camera's pictures that frames show, pixels."""
+
+
+class ModelEntry(ResponseBody):
+    """One version of one model. What only its manifest tells is None when that cannot be read."""
+
+    name: str
+    version: int
+    default: bool = False
+    """A bare NAME means this version."""
+    status: Literal["ready", "refused", "unloaded"]
+    reason: str | None = None
+    """Why it is not ready."""
+    variant: str | None = None
+    preset: str | None = None
+    scenarios: list[Domain] | None = None
+    objects: int | None = None
+    frame_rate_hz: float | None = None
+    """Frames a second of what it was trained on."""
+    rig: ModelRig | None = None
+    """The set-up that it was trained on, where its scenarios are ``footage``."""
+    frames: int | None = None
+    """Frames that it reads: 4, or 5 with a final frame."""
+    final_step: int | None = None
+    trained_horizon: int | None = None
+    covariance_source: Literal["predicted", "empirical"] | None = None
+    angular_velocity: bool | None = None
+    metrics: ModelMetrics | None = None
+
+
+class ModelList(ResponseBody):
+    """Answer of ``GET /models``."""
+
+    models: list[ModelEntry]
+
+
+class ModelDetail(ModelEntry):
+    """Answer of ``GET /models/{name}`` (its default version) and of one version."""
+
+    versions: list[int]
+    """Every version of this name."""
+    licence: str | None
+    card: str | None
+    """The model card, Markdown."""
+
+
+class Health(ResponseBody):
+    """Answer of ``GET /health/live`` and ``GET /health/ready``."""
+
+    status: Literal["live", "ready", "loading", "no usable model", "draining"]
+
+
+class Fault(ResponseBody):
+    """One thing that is wrong with a request."""
+
+    field: str | None = None
+    """Path of the field: ``frames[2]``, ``scene.radius_m``."""
+    value: JsonValue = None
+    """What was given, shortened."""
+    expected: str | None = None
+    """What would be right."""
+
+
+class Problem(ResponseBody):
+    """A problem document (RFC 9457), ``application/problem+json``."""
+
+    type: str
+    """Stable name of the kind of problem: ``/problems/unknown-model``."""
+    title: str
+    status: int
+    detail: str
+    field: str | None = None
+    value: JsonValue = None
+    expected: str | None = None
+    """The first fault, as in ``Fault``; absent when no single value is at fault."""
+    errors: list[Fault] | None = None
+    """Every fault, when there are several."""

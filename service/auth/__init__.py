@@ -1,0 +1,1 @@
+"""API keys and rate limits: who may call, and how often."""

@@ -1,0 +1,223 @@
+"""Encoded images in, 128 x 128 frames out. Format, size and cost are checked before any pixel."""
+
+import io
+import math
+import struct
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+from PIL import Image, ImageFile
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.PngImagePlugin import PngImageFile
+from PIL.WebPImagePlugin import WebPImageFile
+
+from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.schemas import MAX_FRAME_SIZE, MIN_FRAME_SIZE
+from service.errors import BrokenImageError, InvalidValueError, NotAnImageError
+
+SIDES = f"a square of {MIN_FRAME_SIZE} to {MAX_FRAME_SIZE} pixels a side"
+MAX_SCANS = 32
+"""Scans of a progressive JPEG; encoders write ten to twenty. Each passes over all pixels."""
+START_OF_SCAN = b"\xff\xda"
+MAX_READS = 10_000
+"""Pieces (segments, chunks) of a file beyond one for every PIECE_BYTES of it."""
+PIECE_BYTES = 256
+DECODED_BYTES = 4096
+"""Bytes that are decoded before the decoder may be interrupted."""
+MAX_HEADER_BYTES = 4 * 2**20
+"""Bytes before the pixels of a JPEG or PNG file: profiles, previews, notes."""
+ORIENTATION_TAG = 0x0112
+TURNS: Mapping[int, Image.Transpose] = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+"""What turns a picture upright, by its EXIF orientation."""
+DECODER_ERRORS = (
+    EOFError,
+    IndexError,
+    KeyError,
+    OSError,
+    OverflowError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    struct.error,
+    zlib.error,
+)
+"""What Pillow raises on damaged files."""
+
+Check = Callable[[], None]
+"""Raises when the result is no longer awaited."""
+
+
+class _Source(io.BytesIO):
+    """A file that its decoder reads in pieces, whose number is limited.
+
+    Raises
+    ------
+    InvalidValueError
+        From ``read``, when the file has too many pieces or too long a header.
+    """
+
+    def __init__(self, data: bytes, field: str, check: Check) -> None:
+        super().__init__(data)
+        self.header = True
+        self._field = field
+        self._check = check
+        self._reads = MAX_READS + len(data) // PIECE_BYTES
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Read a piece, unless the decoder shall end."""
+        self._check()
+        self._reads -= 1
+        if self._reads < 0:
+            raise InvalidValueError.at(self._field, "a file of many pieces", "fewer, longer pieces")
+        if self.header and self.tell() > MAX_HEADER_BYTES:
+            value = f"more than {MAX_HEADER_BYTES} bytes before the pixels"
+            raise InvalidValueError.at(self._field, value, "an image with less metadata")
+        return super().read(size)
+
+
+class _Jpeg(JpegImageFile):
+    """Pillow's own, whose EXIF block is not unfolded: entries that overlap make it any size."""
+
+    def _read_dpi_from_exif(self) -> None:
+        pass
+
+
+READERS: Mapping[bytes, type[ImageFile.ImageFile]] = {
+    b"\x89PNG\r\n\x1a\n": PngImageFile,
+    b"\xff\xd8\xff": _Jpeg,
+    b"RIFF": WebPImageFile,
+}
+"""The formats that are read, by what their files begin with."""
+
+
+def decode_frames(
+    images: Sequence[bytes], fields: Sequence[str], check: Check = lambda: None
+) -> tuple[UInt8[np.ndarray, "K 128 128 3"], int]:
+    """Decode the frames of one request.
+
+    Parameters
+    ----------
+    images
+        PNG, JPEG or WebP files, square and of one size.
+    fields
+        Name of each in the request, for messages.
+    check
+        Called between pieces of the work; what it raises ends the decoding.
+
+    Returns
+    -------
+    tuple
+        RGB frames, and the side of the frames that were sent, in pixels.
+
+    Raises
+    ------
+    NotAnImageError, BrokenImageError, InvalidValueError
+        With the field at fault.
+    """
+    opened = [_open(data, field, check) for data, field in zip(images, fields, strict=True)]
+    sides = [image.width for image in opened]
+    if len(set(sides)) > 1:
+        sizes = ", ".join(f"{side} x {side}" for side in sides)
+        raise InvalidValueError.at("frames", sizes, "frames of one size")
+    # Popped, so that the pixels of one large frame are freed before the next is decoded.
+    frames = [_load(opened.pop(0), field) for field in fields]
+    return np.stack(frames), sides[0]
+
+
+def _open(data: bytes, field: str, check: Check) -> ImageFile.ImageFile:
+    """Read the header alone. Pillow's own ``open`` would refuse large images without their size."""
+    reader = next((READERS[start] for start in READERS if data.startswith(start)), None)
+    if reader is None or (reader is WebPImageFile and data[8:12] != b"WEBP"):
+        raise NotAnImageError.at(field, data, "a PNG, JPEG or WebP file")
+    if reader is _Jpeg and (scans := data.count(START_OF_SCAN)) > MAX_SCANS:
+        raise InvalidValueError.at(field, f"a JPEG of {scans} scans", f"at most {MAX_SCANS} scans")
+    source = _Source(data, field, check)
+    try:
+        image = reader(source)
+    except Image.DecompressionBombError as error:
+        raise InvalidValueError.at(field, str(error), SIDES) from error
+    except DECODER_ERRORS as error:
+        raise BrokenImageError.at(field, data, "a whole image, its header is damaged") from error
+    source.header = False
+    image.decodermaxblock = DECODED_BYTES
+    width, height = image.size
+    if width != height or not MIN_FRAME_SIZE <= width <= MAX_FRAME_SIZE:
+        raise InvalidValueError.at(field, f"{width} x {height}", SIDES)
+    return image
+
+
+def _load(image: ImageFile.ImageFile, field: str) -> UInt8[np.ndarray, "128 128 3"]:
+    try:
+        image.load()
+    except DECODER_ERRORS as error:
+        value = f"{image.format} of {image.width} x {image.height}"
+        raise BrokenImageError.at(field, value, "a whole image, this one is cut off") from error
+    turn = TURNS.get(_orientation(image.info))
+    return _to_network_size(_to_rgb(image if turn is None else image.transpose(turn)))
+
+
+def _orientation(info: Mapping[Any, Any]) -> int:
+    """Return the orientation that the EXIF block of a file tells; 1 is upright."""
+    exif: bytes = info.get("exif", b"").removeprefix(b"Exif\0\0")
+    order = "<" if exif.startswith(b"II") else ">"
+    try:
+        (start,) = struct.unpack_from(f"{order}I", exif, 4)
+        (entries,) = struct.unpack_from(f"{order}H", exif, start)
+        for entry in range(entries):
+            tag, value = struct.unpack_from(f"{order}H6xH", exif, start + 2 + 12 * entry)
+            if tag == ORIENTATION_TAG:
+                return value
+    except struct.error:
+        pass  # damaged, as metadata often is
+    return 1
+
+
+def _to_rgb(image: Image.Image) -> Image.Image:
+    """Grey, palette and CMYK become RGB, 16 bits become 8, transparency lies on white."""
+    if image.mode.startswith("I"):
+        grey = np.asarray(image).astype(np.float32) / 257
+        return Image.fromarray(grey.round().astype(np.uint8)).convert("RGB")
+    if image.has_transparency_data:
+        layer = image.convert("RGBA")
+        return Image.alpha_composite(Image.new("RGBA", layer.size, "white"), layer).convert("RGB")
+    return image if image.mode == "RGB" else image.convert("RGB")
+
+
+def _to_network_size(image: Image.Image) -> UInt8[np.ndarray, "128 128 3"]:
+    """Average areas when shrinking, interpolate when enlarging.
+
+    Pillow's box filter counts a pixel wholly or not at all, which shifts what is small by up to
+    half a pixel, so areas are averaged here unless whole pixels fill them.
+    """
+    factor, rest = divmod(image.width, NETWORK_FRAME_SIZE)
+    if factor == 0:
+        size = (NETWORK_FRAME_SIZE, NETWORK_FRAME_SIZE)
+        return np.asarray(image.resize(size, Image.Resampling.BILINEAR))
+    if rest == 0:
+        return np.asarray(image if factor == 1 else image.reduce(factor))
+    rows = _average_areas(np.asarray(image))
+    return _average_areas(rows.swapaxes(0, 1)).swapaxes(0, 1).round().astype(np.uint8)
+
+
+def _average_areas(pixels: np.ndarray) -> Float32[np.ndarray, "128 W 3"]:
+    """Shrink the first axis; each source pixel counts by the share of it that is covered."""
+    source = len(pixels)
+    edges = np.arange(NETWORK_FRAME_SIZE + 1) * (source / NETWORK_FRAME_SIZE)
+    low, high = edges[:-1], edges[1:]
+    averages = np.zeros((NETWORK_FRAME_SIZE, *pixels.shape[1:]), np.float32)
+    for offset in range(math.ceil(source / NETWORK_FRAME_SIZE) + 1):
+        index = np.floor(low).astype(np.intp) + offset
+        share = (np.minimum(index + 1, high) - np.maximum(index, low)).clip(0) / (high - low)
+        averages += share[:, None, None].astype(np.float32) * pixels[index.clip(max=source - 1)]
+    return averages

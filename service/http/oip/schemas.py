@@ -1,0 +1,158 @@
+"""Bodies of the Open Inference Protocol (V2, REST), as they stand in JSON."""
+
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import Field
+
+from rollcast.schemas import Flag, Integer, RequestBody, ResponseBody
+
+MAX_ITEMS = 8
+"""Inputs, outputs or axes that are looked at; no model has as many."""
+
+Datatype = Literal["UINT8", "INT64", "FP32"]
+Item = TypeVar("Item")
+Items = Annotated[list[Item], Field(max_length=MAX_ITEMS, fail_fast=True)]
+
+
+class ServerMetadata(ResponseBody):
+    """Answer of ``GET /v2``."""
+
+    name: str
+    version: str
+    extensions: list[str]
+
+
+class ServerLive(ResponseBody):
+    """Answer of ``GET /v2/health/live``."""
+
+    live: bool
+
+
+class ServerReady(ServerLive):
+    """Answer of ``GET /v2/health/ready``."""
+
+    ready: bool
+
+
+class TensorMetadata(ResponseBody):
+    """What a tensor looks like."""
+
+    name: str
+    datatype: Datatype
+    shape: list[int]
+    """-1 where the request decides."""
+
+
+class ModelReady(ResponseBody):
+    """Answer of ``GET /v2/models/{name}/ready``."""
+
+    name: str
+    ready: bool
+
+
+class ModelMetadata(ResponseBody):
+    """Answer of ``GET /v2/models/{name}``."""
+
+    name: str
+    versions: list[str]
+    platform: str
+    inputs: list[TensorMetadata]
+    outputs: list[TensorMetadata]
+
+
+class InputParameters(RequestBody):
+    """Parameters of an input tensor."""
+
+    binary_data_size: Annotated[Integer, Field(ge=0)] | None = None
+    """Bytes of this tensor behind the JSON."""
+
+
+class InferInput(RequestBody):
+    """One input tensor: its numbers stand in ``data`` or behind the JSON."""
+
+    name: str
+    shape: Items[Integer]
+    datatype: str
+    parameters: InputParameters | None = None
+    data: list[Any] | None = None
+    """Row-major, flat or nested."""
+
+    @property
+    def binary_size(self) -> int | None:
+        """Bytes behind the JSON, if the numbers stand there."""
+        return None if self.parameters is None else self.parameters.binary_data_size
+
+
+class OutputParameters(RequestBody):
+    """Parameters of a requested output."""
+
+    binary_data: Flag | None = None
+    """Whether it comes behind the JSON: by default as ``binary_data_output`` says."""
+
+
+class RequestedOutput(RequestBody):
+    """One output that is wanted."""
+
+    name: str
+    parameters: OutputParameters | None = None
+
+
+class InferParameters(RequestBody):
+    """Parameters of a request."""
+
+    binary_data_output: Flag = False
+    """Whether the outputs come behind the JSON."""
+
+
+class InferRequest(RequestBody):
+    """Body of ``POST /v2/models/{name}/infer``, alone or followed by binary tensors."""
+
+    id: str | None = None
+    """Returned as it came."""
+    model_name: str | None = None
+    """What KServe's client adds to the protocol: the name that the path has."""
+    parameters: InferParameters | None = None
+    inputs: Items[InferInput]
+    """``frames``, and ``horizon`` if it shall not be the model's own."""
+    outputs: Items[RequestedOutput] | None = None
+    """Those that are wanted, in that order; all when it is left out or empty."""
+
+
+class BinarySize(ResponseBody):
+    """Parameters of an output tensor that comes behind the JSON."""
+
+    binary_data_size: int
+
+
+class InferOutput(TensorMetadata):
+    """One output tensor: its numbers stand in ``data`` or behind the JSON."""
+
+    parameters: BinarySize | None = None
+    data: list[float] | None = None
+    """Row-major and flat."""
+
+
+class InferResponse(ResponseBody):
+    """Answer of ``POST /v2/models/{name}/infer``, alone or followed by binary tensors."""
+
+    model_name: str
+    model_version: str
+    id: str | None = None
+    outputs: list[InferOutput]
+
+
+class IndexEntry(ResponseBody):
+    """One version of a model in the repository."""
+
+    name: str
+    version: str
+    state: Literal["READY", "UNAVAILABLE"]
+    reason: str
+    """Why it is not ready; empty when it is."""
+
+
+class InferError(ResponseBody):
+    """A refusal."""
+
+    error: str
+    """What is wrong: the field, what came and what would be right."""

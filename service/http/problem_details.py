@@ -1,0 +1,228 @@
+"""Every exception becomes a problem document (RFC 9457) here, and nowhere else.
+
+Under ``/v2`` it becomes what the Open Inference Protocol asks for instead: an object with one
+field, ``error``, and 400 where a value is wrong.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any, cast
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import Response
+from pydantic import JsonValue
+from starlette.exceptions import HTTPException
+
+from rollcast.schemas import Fault, Problem
+from service.errors import (
+    InvalidValueError,
+    Mistake,
+    ModelUnavailableError,
+    NotReadyError,
+    OutOfMemoryError,
+    QueueFullError,
+    ServiceError,
+    SimulationLostError,
+    TooManyBodiesError,
+    TooManyRequestsError,
+    UnauthorizedError,
+)
+from service.http.oip.schemas import InferError
+from service.http.security_headers import ALWAYS, NOTHING_RUNS, POLICY
+from service.observability.log_config import REQUEST_ID_HEADER, request_id
+
+MEDIA_TYPE = "application/problem+json"
+PROTOCOL_PATH = "/v2"
+"""Root of the Open Inference Protocol."""
+PASSING = (
+    QueueFullError,
+    NotReadyError,
+    ModelUnavailableError,
+    SimulationLostError,
+    TooManyBodiesError,
+    OutOfMemoryError,
+)
+"""Refusals after which it is worth while to ask again."""
+LONGEST_VALUE = 100
+"""Characters of a wrong value that are sent back."""
+LONGEST_DETAIL = 600
+MAX_MISTAKES = 10
+"""Wrong values that an answer names; there may be more."""
+MOST_FAULTS = 4
+"""Faults that the one text of the protocol tells."""
+
+
+def install_problem_handlers(app: FastAPI) -> None:
+    """Make the app answer every refusal and every failure with a problem document."""
+    for kind in (ServiceError, RequestValidationError, HTTPException, MemoryError, Exception):
+        app.add_exception_handler(kind, _answer)
+
+
+def document(error: ServiceError) -> str:
+    """Return the problem document of a refusal that comes too late for a status of its own."""
+    return json.dumps(_members(_refusal(error)))
+
+
+def invalid_values(errors: Sequence[Any]) -> ServiceError:
+    """Translate pydantic's list of errors, in which a model's own check names its field."""
+    mistakes = [_mistake(error) for error in errors[:MAX_MISTAKES]]
+    if len(mistakes) == 1:
+        return InvalidValueError.at(mistakes[0].field, mistakes[0].value, mistakes[0].expected)
+    fields = ", ".join(_shorten(mistake.field) for mistake in mistakes)
+    beyond = len(errors) - len(mistakes)
+    more = f" and {beyond} more" if beyond else ""
+    return InvalidValueError(f"{len(errors)} values are not acceptable: {fields}{more}", mistakes)
+
+
+def in_plain_words(message: str) -> str:
+    """Drop what pydantic puts before a reason."""
+    return message.removeprefix("Input should be ").removeprefix("Value error, ")
+
+
+def _mistake(error: Mapping[str, Any]) -> Mistake:
+    context: dict[str, Any] = error.get("ctx", {})
+    if "field" in context:
+        return Mistake(context["field"], context["value"], context["expected"])
+    expected = {
+        "missing": "a value, the field is required",
+        "extra_forbidden": "no such field",
+        "too_short": f"{context.get('min_length')} items",
+        "too_long": f"at most {context.get('max_length')} items",
+        "model_type": "an object",
+    }.get(error["type"], in_plain_words(error["msg"]))
+    value = None if error["type"] == "missing" else _presentable(error["input"])
+    return Mistake(_path(error["loc"]), value, expected)
+
+
+def _path(location: Sequence[int | str]) -> str:
+    """Write ``("frames", 2)`` as ``frames[2]`` and ``("scene", "seed")`` as ``scene.seed``."""
+    parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in location]
+    return "".join(parts).removeprefix(".") or "body"
+
+
+async def _answer(request: Request, error: Exception) -> Response:
+    # Not a plain function: Starlette would call that in a thread, for which a service at its limits
+    # may have no descriptor.
+    headers: dict[str, str] = {}
+    match error:
+        case ServiceError():
+            request.app.state.service.metrics.refusal(error.slug)
+            problem = _refusal(error)
+            if isinstance(error, UnauthorizedError):
+                headers["WWW-Authenticate"] = "Bearer"
+            if isinstance(error, TooManyRequestsError):
+                headers["Retry-After"] = str(error.retry_after_s)
+            if isinstance(error, PASSING):
+                headers["Retry-After"] = str(request.app.state.service.settings.retry_after_s)
+        case MemoryError():
+            refusal = OutOfMemoryError("There is no memory left for this request.")
+            return await _answer(request, refusal)
+        case RequestValidationError():
+            parameters = [fault | {"loc": fault["loc"][1:]} for fault in error.errors()]
+            problem = _refusal(invalid_values(parameters))
+        case HTTPException():
+            problem = _http_problem(request, error)
+            headers.update(error.headers or {})
+        case _:
+            problem = Problem(
+                type="/problems/internal-error",
+                title="The service failed",
+                status=500,
+                detail="The fault is the service's; its log has the reason.",
+            )
+            # What adds these to every other answer is not asked when a route fails.
+            headers |= ALWAYS | {POLICY: NOTHING_RUNS}
+            if (failed := request_id()) is not None:
+                headers[REQUEST_ID_HEADER] = failed
+    path = request.scope["path"].removeprefix(request.scope.get("root_path", ""))
+    if f"{path}/".startswith(f"{PROTOCOL_PATH}/"):
+        return _protocol_error(problem, headers)
+    return Response(
+        json.dumps(_members(problem)), problem.status, headers=headers, media_type=MEDIA_TYPE
+    )
+
+
+def _refusal(error: ServiceError) -> Problem:
+    faults = [
+        Fault(
+            field=_shorten(mistake.field),
+            value=_presentable(mistake.value),
+            expected=_shorten(mistake.expected, LONGEST_DETAIL),
+        )
+        for mistake in error.mistakes
+    ]
+    first = faults[0] if faults else Fault()
+    return Problem(
+        type=f"/problems/{error.slug}",
+        title=error.title,
+        status=error.status,
+        detail=_shorten(error.detail, LONGEST_DETAIL),
+        **dict(first),
+        errors=faults if len(faults) > 1 else None,
+    )
+
+
+def _http_problem(request: Request, error: HTTPException) -> Problem:
+    phrase = HTTPStatus(error.status_code).phrase
+    return Problem(
+        type=f"/problems/{phrase.lower().replace(' ', '-')}",
+        title=phrase,
+        status=error.status_code,
+        detail=f"{request.method} {_shorten(request.url.path)}: {error.detail}",
+    )
+
+
+def _protocol_error(problem: Problem, headers: Mapping[str, str]) -> Response:
+    """Write a problem as the protocol does; it has no status for a value that is wrong."""
+    status = HTTPStatus.BAD_REQUEST if problem.status == 422 else problem.status
+    faults = problem.errors or ([] if problem.field is None else [problem])
+    told = "; ".join(
+        f"{fault.field} is {_in_words(fault.value)}, expected {fault.expected}"
+        for fault in faults[:MOST_FAULTS]
+    )
+    error = InferError(error=told or problem.detail)
+    return Response(
+        json.dumps(error.model_dump()), status, headers=headers, media_type="application/json"
+    )
+
+
+def _in_words(value: JsonValue) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _members(problem: Problem) -> dict[str, JsonValue]:
+    """Leave out the members that do not apply; a value may well be null."""
+    members = problem.model_dump(exclude={"errors"} if problem.errors is None else None)
+    if problem.field is None:
+        del members["field"], members["value"], members["expected"]
+    return members
+
+
+def _presentable(value: object) -> JsonValue:
+    """Shorten a value and make it safe for JSON: no surrogates, no infinities, no megabytes."""
+    match value:
+        case None | bool():
+            return value
+        case int() if abs(value) < 2**53:
+            return value
+        case float() if math.isfinite(value):
+            return value
+        case bytes():
+            return f"{len(value)} bytes"
+        case list() | tuple():
+            items = cast("Sequence[object]", value)
+            short = len(items) <= 4 and all(isinstance(item, int | float) for item in items)
+            return [_presentable(item) for item in items] if short else f"{len(items)} items"
+        case dict():
+            return f"an object of {len(cast('dict[str, object]', value))} fields"
+        case _:
+            return _shorten(str(value))
+
+
+def _shorten(text: str, longest: int = LONGEST_VALUE) -> str:
+    shown = text[:longest].encode("utf-8", "backslashreplace").decode("utf-8")
+    rest = len(text) - longest
+    return f"{shown}... ({rest} more characters)" if rest > 0 else shown

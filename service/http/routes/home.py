@@ -1,0 +1,59 @@
+"""``GET /``: the demo page, and below ``/static`` what it is made of."""
+
+import os
+from pathlib import Path
+
+from fastapi import APIRouter, FastAPI
+from fastapi.responses import FileResponse, Response
+from fastapi.staticfiles import StaticFiles
+from starlette.types import Scope
+
+STATIC = Path(__file__).resolve().parents[2] / "static"
+PAGE = STATIC / "index.html"
+
+CONTENT_SECURITY_POLICY = "; ".join(
+    (
+        "default-src 'self'",
+        "img-src 'self' blob: data:",
+        "media-src 'self' blob: data:",
+        "object-src 'none'",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
+    )
+)
+"""The page runs and loads what this service serves, and shows what its user drops on it."""
+
+REVALIDATED = {"Cache-Control": "no-cache"}
+"""A browser asks whether a file is still the same, so files of two versions never meet."""
+
+router = APIRouter(include_in_schema=False)
+
+
+@router.head("/")
+@router.get("/")
+async def home() -> FileResponse:
+    """Return the page."""
+    headers = REVALIDATED | {"Content-Security-Policy": CONTENT_SECURITY_POLICY}
+    return FileResponse(PAGE, media_type="text/html", headers=headers)
+
+
+def install_static_files(app: FastAPI) -> None:
+    """Serve the page's scripts, styles and libraries."""
+    app.mount("/static", _StaticFiles(directory=STATIC), name="static")
+
+
+class _StaticFiles(StaticFiles):
+    """Files that are asked for anew after every upgrade (ETag)."""
+
+    def file_response(
+        self,
+        full_path: "str | os.PathLike[str]",
+        stat_result: os.stat_result,
+        scope: Scope,
+        status_code: int = 200,
+    ) -> Response:
+        """Answer with a file, or that it has not changed."""
+        response = super().file_response(full_path, stat_result, scope, status_code)
+        response.headers.update(REVALIDATED)
+        return response

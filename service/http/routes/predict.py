@@ -1,0 +1,123 @@
+"""``POST /predict`` and ``/predict/stream``: four frames in, a forecast out."""
+
+from collections.abc import AsyncGenerator, Callable
+from concurrent.futures import Future
+
+from fastapi import APIRouter, Request, Response
+from fastapi.sse import EventSourceResponse, format_sse_event
+
+from rollcast.schemas import PredictRequest, PredictResponse, StreamDone, StreamStep
+from service.errors import ServiceError
+from service.http.openapi import body_of, problems_of
+from service.http.prediction import Parser, StreamedForecast, WholeForecast
+from service.http.problem_details import document
+from service.http.request_body import (
+    JSON,
+    MULTIPART,
+    Body,
+    media_type,
+    parse_form,
+    parse_json,
+    received,
+)
+from service.inference.deadlines import (
+    CLIENT_CLOSED_REQUEST,
+    CancellationToken,
+    ClientGoneError,
+    answered,
+    streamed,
+    timeout_s,
+)
+from service.state import ServiceState
+
+router = APIRouter(tags=["forecast"])
+
+PROBLEMS = problems_of(400, 401, 403, 404, 408, 413, 415, 422, 429, 503, 504)
+EVENTS = "text/event-stream"
+FILES = frozenset({"frames", "final_frame"})
+LISTS = frozenset({"frames"})
+
+
+@router.post(
+    "/predict",
+    response_model=PredictResponse,
+    responses=PROBLEMS,
+    openapi_extra=body_of(PredictRequest, JSON, MULTIPART),
+)
+async def predict(request: Request, service: ServiceState) -> Response:
+    """Forecast where the balls of four frames go, with angular velocities and covariances."""
+    service.require_serving()
+
+    def submit(token: CancellationToken) -> Future[str]:
+        forecast = WholeForecast(parse, token, service.registry, service.metrics)
+        return service.inference.submit(forecast, token)
+
+    kind = media_type(request, (JSON, MULTIPART))
+    try:
+        async with received(request) as body:
+            parse = _parser(kind, body, request)
+            content = await answered(request, timeout_s(request, service.settings), submit)
+    except ClientGoneError:
+        return Response(status_code=CLIENT_CLOSED_REQUEST)
+    return Response(content, media_type=JSON)
+
+
+@router.post(
+    "/predict/stream",
+    response_class=Response,  # declared as EventSourceResponse, FastAPI would take the route over
+    responses={
+        **PROBLEMS,
+        200: {
+            "description": "Server-sent events: a `step` for every step (StreamStep), then `done` "
+            "(StreamDone), or `error` with a problem document.",
+            "content": {EVENTS: {"schema": {"type": "string"}}},
+        },
+    },
+    openapi_extra=body_of(PredictRequest, JSON, MULTIPART),
+)
+async def predict_stream(request: Request, service: ServiceState) -> Response:
+    """Forecast as /predict does, and send every step as soon as it is there."""
+    service.require_serving()
+
+    def submit(
+        token: CancellationToken, emit: Callable[[StreamStep | StreamDone], object]
+    ) -> Future[None]:
+        forecast = StreamedForecast(parse, token, service.registry, service.metrics, emit)
+        return service.inference.submit(forecast, token)
+
+    kind = media_type(request, (JSON, MULTIPART))
+    async with received(request) as body:
+        parse = _parser(kind, body, request)
+        events = streamed(request, timeout_s(request, service.settings), submit)
+        # What is refused before the first step is refused as by /predict.
+        first = await anext(events, None)
+    return EventSourceResponse(_lines(first, events))
+
+
+def _parser(kind: str, body: Body, request: Request) -> Parser:
+    """Return what parses the body, in a worker."""
+    if kind == JSON:
+        return lambda _: parse_json(body, PredictRequest)
+    content_type = request.headers["content-type"]
+    return lambda check: parse_form(
+        body, content_type, PredictRequest, files=FILES, lists=LISTS, check=check
+    )
+
+
+async def _lines(
+    first: StreamStep | StreamDone | None, rest: AsyncGenerator[StreamStep | StreamDone]
+) -> AsyncGenerator[bytes]:
+    try:
+        if first is not None:
+            yield _event(first)
+        async for event in rest:
+            yield _event(event)
+    except ServiceError as error:
+        yield format_sse_event(event="error", data_str=document(error))
+    finally:
+        await rest.aclose()
+
+
+def _event(event: StreamStep | StreamDone) -> bytes:
+    name = "done" if isinstance(event, StreamDone) else "step"
+    return format_sse_event(event=name, data_str=event.model_dump_json())

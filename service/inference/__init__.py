@@ -1,0 +1,1 @@
+"""Computing forecasts: ONNX Runtime, rollout, scheduling, deadlines."""

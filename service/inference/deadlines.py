@@ -1,0 +1,145 @@
+"""Somebody waits for every forecast: until its deadline passes, or until they go away.
+
+A rollout asks between two steps whether it is still wanted, so its worker is free within one step.
+"""
+
+import asyncio
+from collections.abc import AsyncGenerator, Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from typing import TypeVar
+
+from fastapi import Request
+
+from service.errors import DeadlineExceededError, InvalidValueError
+from service.settings import Settings
+
+T = TypeVar("T")
+
+TIMEOUT_HEADER = "x-request-timeout-ms"
+CLIENT_CLOSED_REQUEST = 499
+"""Status of an answer that nobody is there to read: for the log alone."""
+
+
+class ClientGoneError(Exception):
+    """The client has gone; its answer is not needed."""
+
+
+class CancellationToken:
+    """Cancellation of a request: polled by a worker thread, cancelled by the event loop."""
+
+    def __init__(self) -> None:
+        self.cancelled: Future[None] = Future()
+        """Future that is done once the request is cancelled."""
+
+    def cancel(self) -> None:
+        """Cancel the request."""
+        if not self.cancelled.done():
+            self.cancelled.set_result(None)
+
+    def raise_if_cancelled(self) -> None:
+        """Raise once the request is cancelled.
+
+        Raises
+        ------
+        ClientGoneError
+            When the request is cancelled.
+        """
+        if self.cancelled.done():
+            raise ClientGoneError
+
+
+def timeout_s(request: Request, settings: Settings) -> float:
+    """Seconds that a request may take: what its header asks for, at most what the settings allow.
+
+    Raises
+    ------
+    InvalidValueError
+        When the header is not a whole number of milliseconds.
+    """
+    text = request.headers.get(TIMEOUT_HEADER)
+    if text is None:
+        return settings.deadline_s
+    if not (text.isascii() and text.isdigit() and 1 <= len(text) <= 9 and int(text) > 0):
+        expected = "a whole number of milliseconds, 1 to 999999999"
+        raise InvalidValueError.at(TIMEOUT_HEADER, text, expected)
+    return min(int(text) / 1000, settings.deadline_s)
+
+
+async def answered(
+    request: Request, timeout: float | None, submit: Callable[[CancellationToken], Future[T]]
+) -> T:
+    """Submit a call and return what it returns; without a timeout it may take any time.
+
+    Raises
+    ------
+    ClientGoneError
+        When the client goes away before that.
+    DeadlineExceededError
+        When it takes longer than ``timeout`` seconds, the wait in the queue included.
+    QueueFullError
+        When it is not taken.
+    """
+    token = CancellationToken()
+    work = asyncio.wrap_future(submit(token))
+    gone = asyncio.ensure_future(_disconnect(request))
+    try:
+        done, _ = await asyncio.wait(
+            {work, gone}, timeout=timeout, return_when=asyncio.FIRST_COMPLETED
+        )
+        if work in done:
+            return work.result()
+        if gone in done:
+            raise ClientGoneError
+        raise DeadlineExceededError(f"The answer was not there after {timeout:g} s.")
+    finally:
+        token.cancel()
+        gone.cancel()
+        work.cancel()
+        with suppress(asyncio.CancelledError, Exception):
+            await gone
+
+
+async def streamed(
+    request: Request,
+    timeout: float,
+    submit: Callable[[CancellationToken, Callable[[T], object]], Future[None]],
+) -> AsyncGenerator[T]:
+    """Submit a call and yield what it hands over, as it comes, until the client goes away.
+
+    Raises
+    ------
+    DeadlineExceededError
+        When the whole takes longer than ``timeout`` seconds, the wait in the queue included.
+    QueueFullError
+        When it is not taken.
+    """
+    loop = asyncio.get_running_loop()
+    ends = loop.time() + timeout
+    events: asyncio.Queue[T | None] = asyncio.Queue()
+    token = CancellationToken()
+    running = asyncio.wrap_future(
+        submit(token, lambda event: loop.call_soon_threadsafe(events.put_nowait, event))
+    )
+    gone = asyncio.ensure_future(_disconnect(request))
+    for end in (running, gone):
+        end.add_done_callback(lambda _: events.put_nowait(None))
+    try:
+        while (event := await asyncio.wait_for(events.get(), ends - loop.time())) is not None:
+            yield event
+        if not gone.done():
+            await running
+    except TimeoutError as error:
+        raise DeadlineExceededError(f"The answer was not there after {timeout:g} s.") from error
+    finally:
+        token.cancel()
+        gone.cancel()
+        running.cancel()
+
+
+async def _disconnect(request: Request) -> None:
+    """Return when the client goes away; the body has been read."""
+    while True:
+        message = await request.receive()
+        if message["type"] == "http.disconnect":
+            return

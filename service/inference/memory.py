@@ -1,0 +1,24 @@
+"""Memory that is freed goes back to the system."""
+
+import ctypes
+from typing import Any
+
+M_TRIM_THRESHOLD = -1
+M_MMAP_THRESHOLD = -3
+"""Numbers of glibc's options (malloc.h)."""
+OWN_MAPPING_BYTES = 2**20
+"""Size from which a block has a mapping of its own, which ends when it is freed."""
+KEPT_BYTES = 16 * 2**20
+"""Free memory at the end of the heap that is kept for later."""
+
+
+def return_freed_memory() -> None:
+    """Let large blocks (bodies, pixels) go back to the system as soon as they are freed.
+
+    By itself, glibc raises both thresholds with the first large block that is freed, and keeps what
+    comes later. Other systems' libraries have no such option, and nothing is done there.
+    """
+    mallopt: Any = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(M_MMAP_THRESHOLD, OWN_MAPPING_BYTES)
+        mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)

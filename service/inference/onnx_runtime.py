@@ -1,0 +1,146 @@
+"""ONNX Runtime: the only module that imports it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from threading import Lock, Thread
+from weakref import WeakValueDictionary
+
+import numpy as np
+from jaxtyping import UInt8
+from loky import cpu_count
+
+from rollcast.manifest import (
+    ENCODER_FILE,
+    EYE_FILE,
+    FAMILIARITY_FILE,
+    FRAMES_INPUT,
+    NEXT_PREFIX,
+    STEP_FILE,
+    Manifest,
+    OutputName,
+)
+from rollcast.ood import Familiarity
+from rollcast.perception_io import run_perception
+from service.inference.rollout import Arrays, Step
+from service.settings import keep_runtime_silent
+
+keep_runtime_silent()
+import onnxruntime  # noqa: E402
+
+CORES_OF_AN_EYE = min(2, cpu_count())
+"""Cores that may see the frames of one request: more were not measured (decision 0113)."""
+
+
+class _Eye:
+    """An eye's graph for one core, and for as many as it may have: the same bits.
+
+    Parameters
+    ----------
+    path
+        File of the graph.
+    """
+
+    def __init__(self, path: Path) -> None:
+        # Not the file: it may be another one when it is opened again.
+        self._graph = path.read_bytes()
+        self._unhelped = self._helped = _session(self._graph, reuse=True)
+        self._again = Lock()
+
+    def session(self, two_cores: bool) -> onnxruntime.InferenceSession:
+        """Return that for as many cores as asked, as soon as it is open."""
+        if (
+            two_cores
+            and self._graph
+            and CORES_OF_AN_EYE > 1
+            and self._again.acquire(blocking=False)
+        ):
+            Thread(target=self._open_helped, name="opens an eye", daemon=True).start()
+        return self._helped if two_cores else self._unhelped
+
+    def _open_helped(self) -> None:
+        self._helped, self._graph = _session(self._graph, CORES_OF_AN_EYE, reuse=True), b""
+
+
+_eyes: WeakValueDictionary[str, _Eye] = WeakValueDictionary()
+_opening = Lock()
+
+
+class OnnxPredictor:
+    """The graphs of an artefact. Safe to call from several threads at once.
+
+    The eye, by far the largest of them, is shared with other models that have the same.
+
+    Parameters
+    ----------
+    folder
+        ``models/NAME/VERSION``.
+    manifest
+        Its manifest, which names the graphs' tensors.
+    """
+
+    def __init__(self, folder: Path, manifest: Manifest) -> None:
+        self.manifest = manifest
+        known = manifest.unfamiliar is not None
+        self.familiarity = Familiarity.read(folder / FAMILIARITY_FILE) if known else None
+        eye = manifest.files.get(EYE_FILE)
+        self._eye = None if eye is None else _shared_eye(folder / EYE_FILE, eye)
+        # Behind an eye it is small sums, which optimising makes no faster; it takes half the load.
+        self._encoder = _session(folder / ENCODER_FILE, optimised=eye is None)
+        self._read = [one.name for one in self._encoder.get_inputs()]
+        self._step = _session(folder / STEP_FILE)
+        self._state = [tensor.name for tensor in manifest.state]
+        self._first = list(manifest.output_names)
+        self._later = list(manifest.step_output_names)
+        self._encoded = [*self._state, *self._first]
+        self._stepped = [*(f"{NEXT_PREFIX}{name}" for name in self._state), *self._later]
+
+    def encode(
+        self, frames: UInt8[np.ndarray, "B K 128 128 3"], *, two_cores: bool = False
+    ) -> Step:
+        """Return the first state and the outputs of step t = 0; a second core may help."""
+        if self._eye is None:
+            seen = {FRAMES_INPUT: frames}
+        else:
+            seen = run_perception(self._eye.session(two_cores).run, self._read, frames)
+        return self._as_step(self._encoder.run(self._encoded, seen), self._first)
+
+    def advance(self, state: Arrays) -> Step:
+        """Return the next state and the outputs of its step."""
+        return self._as_step(self._step.run(self._stepped, state), self._later)
+
+    def _as_step(self, values: list[np.ndarray], outputs: Sequence[OutputName]) -> Step:
+        split = len(self._state)
+        return Step(
+            dict(zip(self._state, values[:split], strict=True)),
+            dict(zip(outputs, values[split:], strict=True)),
+        )
+
+
+def _shared_eye(path: Path, digest: str) -> _Eye:
+    """Open an eye, unless one with the same sha256 is open."""
+    with _opening:
+        eye = _eyes.get(digest)
+        if eye is None:
+            eye = _eyes[digest] = _Eye(path)
+        return eye
+
+
+def _session(
+    graph: Path | bytes, threads: int = 1, *, optimised: bool = True, reuse: bool = False
+) -> onnxruntime.InferenceSession:
+    """Open a graph on threads that never spin between runs: cores belong to other requests."""
+    options = onnxruntime.SessionOptions()
+    if not optimised:
+        options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+    # Thousands of sums with a few numbers each need not share memory: planning it takes half the
+    # load of an encoder, and a step is a sixteenth faster without. The pictures of an eye do.
+    options.enable_mem_reuse = reuse
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3  # errors: its warnings speak to those who export
+    # Threads that wait for each other hundreds of times a run spin meanwhile, and no longer.
+    options.add_session_config_entry("session.intra_op.allow_spinning", str(int(threads > 1)))
+    options.add_session_config_entry("session.force_spinning_stop", "1")
+    # An arena for every session would keep the most that its largest batch ever needed.
+    options.enable_cpu_mem_arena = False
+    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])

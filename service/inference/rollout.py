@@ -1,0 +1,160 @@
+"""The recurrent loop: frames in, a forecast of any horizon out, in 128-pixel units.
+
+Axes: B requests, N balls, T steps, K frames.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+
+from rollcast.manifest import GAUSSIAN_HALF_RADIUS, CovarianceSource, Manifest, OutputName
+from rollcast.ood import Familiarity
+from service.errors import DivergedError
+
+Arrays = Mapping[str, np.ndarray]
+Outputs = Mapping[OutputName, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Step:
+    """The state after a step, by name, and the step's outputs, each [B, N, ...]."""
+
+    state: Arrays
+    outputs: Outputs
+
+
+@runtime_checkable
+class Predictor(Protocol):
+    """A network that can be rolled out. ``service.inference.onnx_runtime`` has the real one."""
+
+    manifest: Manifest
+    familiarity: Familiarity | None
+    """What its training frames look like; None when it cannot tell."""
+
+    def encode(
+        self, frames: UInt8[np.ndarray, "B K 128 128 3"], *, two_cores: bool = False
+    ) -> Step:
+        """Return the first state and the outputs of step t = 0.
+
+        Parameters
+        ----------
+        two_cores
+            Whether another core is idle and may help.
+        """
+        ...
+
+    def advance(self, state: Arrays) -> Step:
+        """Return the next state and the outputs of its step."""
+        ...
+
+
+def roll_out(
+    predictor: Predictor, frames: UInt8[np.ndarray, "B K 128 128 3"], horizon: int
+) -> dict[OutputName, Float32[np.ndarray, "B N T ..."]]:
+    """Forecast the steps 0..horizon-1 of frames, alone."""
+    step = predictor.encode(frames)
+    steps = [step.outputs]
+    for _ in range(1, horizon):
+        step = predictor.advance(step.state)
+        steps.append(step.outputs)
+    return stacked(steps)
+
+
+def stacked(rows: Sequence[Outputs]) -> dict[OutputName, Float32[np.ndarray, "B N T ..."]]:
+    """Stack the outputs of all steps along a new third axis; a final position has no steps."""
+    return {
+        name: rows[0][name]
+        if name == "final_positions"
+        else np.stack([row[name] for row in rows], axis=2)
+        for name in rows[0]
+    }
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """A forecast of B requests, with an uncertainty from one source or the other."""
+
+    positions: Float[np.ndarray, "B N T 2"]
+    """Pixels."""
+    covariances: Float[np.ndarray, "B N T 2 2"]
+    """Square pixels."""
+    half_radii: Float[np.ndarray, " T"]
+    """Standard deviations: of the ellipses that should hold half of the truths."""
+    angular_velocities: Float[np.ndarray, "B N T 3"] | None
+    """rad/s."""
+    final_positions: Float[np.ndarray, "B N 2"] | None
+    """Pixels."""
+
+    def rescaled(self, length: float, rate: float) -> "Forecast":
+        """Return the forecast with lengths and angular velocities in other units.
+
+        Parameters
+        ----------
+        length
+            Pixels of the wanted frame per pixel of a 128-pixel frame.
+        rate
+            Frames a second of the observed frames per frame a second of the model.
+        """
+        turning, final = self.angular_velocities, self.final_positions
+        return Forecast(
+            self.positions * length,
+            self.covariances * length**2,
+            self.half_radii,
+            None if turning is None else turning * rate,
+            None if final is None else final * length,
+        )
+
+
+def assemble(
+    outputs: Mapping[OutputName, np.ndarray], covariance: CovarianceSource, first_step: int = 0
+) -> Forecast:
+    """Make a forecast of stacked outputs: one of the two sources tells its covariances.
+
+    Parameters
+    ----------
+    first_step
+        Step that the outputs begin with.
+
+    Raises
+    ------
+    DivergedError
+        When a number is not finite.
+    """
+    positions = outputs["positions"]
+    steps = np.arange(first_step, first_step + positions.shape[2], dtype=np.intp)
+    if covariance.empirical is not None:
+        table = np.array(covariance.empirical)[_held(steps, len(covariance.empirical))]
+        covariances = np.broadcast_to(table, (*positions.shape, 2))
+    else:
+        covariances = outputs["covariances"]
+        if covariance.variance_scale is not None:
+            scale = np.array(covariance.variance_scale)
+            covariances = covariances * scale[_held(steps, len(scale)), None, None]
+    half = np.array(covariance.half_radius or [GAUSSIAN_HALF_RADIUS])
+    forecast = Forecast(
+        positions,
+        covariances,
+        half[_held(steps, len(half))],
+        outputs.get("angular_velocities"),
+        outputs.get("final_positions"),
+    )
+    _refuse_divergence(forecast, first_step)
+    return forecast
+
+
+def _held(steps: np.ndarray, known: int) -> np.ndarray:
+    """Index of each step in a table of ``known`` steps, the last of which is held beyond."""
+    return np.minimum(steps, known - 1)
+
+
+def _refuse_divergence(forecast: Forecast, first_step: int) -> None:
+    for values in (forecast.positions, forecast.covariances, forecast.angular_velocities):
+        if values is None or np.isfinite(values).all():
+            continue
+        by_step = np.isfinite(values).all(axis=(0, 1, *range(3, values.ndim)))
+        finite = first_step + int(np.argmin(by_step))
+        asked = first_step + values.shape[2]
+        raise DivergedError.at("horizon", asked, f"at most {finite} for these frames")

@@ -1,0 +1,373 @@
+"""Forecasts on a few threads: what waits is encoded together, and rollouts step together.
+
+A thread takes what is there in this order: answers to write, frames to encode, a rollout to lead.
+Threads share the waiting frames out, a few in one batch. Whoever leads a model's rollout steps all
+requests that have joined it, so while frames wait the next rollout grows, and the price of a step
+is shared. A request joins and leaves between two steps.
+"""
+
+import math
+import threading
+import time
+from collections import defaultdict, deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from jaxtyping import UInt8
+
+from service.inference.admission import AdmissionLimit, Gauge
+from service.inference.deadlines import CancellationToken
+from service.inference.rollout import Arrays, Outputs, Predictor
+from service.siblings import Siblings
+
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
+
+MAX_CLOSE_S = 5.0
+"""Seconds for which closing waits for the threads: their requests have ended or been cancelled."""
+ENCODED_TOGETHER = 4
+"""Requests whose frames are encoded in one batch: more gain nothing (docs/benchmarks.md)."""
+
+
+class DecodedRequest(NamedTuple):
+    """A request whose frames are decoded."""
+
+    predictor: Predictor
+    frames: UInt8[np.ndarray, "B K 128 128 3"]
+    horizon: int
+
+
+class Job(Protocol[T_co]):
+    """A request on its way to its answer; every method is called in some thread of the scheduler.
+
+    Whatever a method raises becomes the answer.
+    """
+
+    def begin(self) -> DecodedRequest:
+        """Choose the model and decode the frames."""
+        ...
+
+    def step(self, index: int, outputs: Outputs) -> None:
+        """Take the outputs [B, N, ...] of a step; the first come with the encoded frames."""
+        ...
+
+    def finish(self) -> T_co:
+        """Return the answer, after the last step."""
+        ...
+
+
+@dataclass(eq=False)
+class _Request(Generic[T]):
+    """A request inside the scheduler."""
+
+    job: Job[T]
+    token: CancellationToken
+    future: Future[T]
+    rows: int = 0
+    horizon: int = 0
+    steps: int = 0
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has all its steps."""
+        return self.steps == self.horizon
+
+    def begin(self) -> DecodedRequest | None:
+        """Begin; None when that was its end."""
+        seen: list[DecodedRequest] = []
+
+        def begin() -> None:
+            self.token.raise_if_cancelled()
+            seen.append(self.job.begin())
+            self.rows, self.horizon = len(seen[0].frames), seen[0].horizon
+
+        return seen[0] if self.fail_safely(begin) else None
+
+    def take(self, outputs: Outputs) -> bool:
+        """Take the outputs of the next step; return whether that went well."""
+        index, self.steps = self.steps, self.steps + 1
+        return self.fail_safely(lambda: self.job.step(index, outputs))
+
+    def finish(self) -> None:
+        """Make the answer."""
+        self.fail_safely(lambda: self.future.set_result(self.job.finish()))
+
+    def fail_safely(self, act: Callable[[], None]) -> bool:
+        """Do something; a failure is this request's answer. Return whether it went well."""
+        try:
+            act()
+        except BaseException as error:  # the thread serves other requests
+            self.future.set_exception(error)
+            return False
+        return True
+
+
+@dataclass(eq=False)
+class _Batch:
+    """Requests whose states are the rows of one state, in their order."""
+
+    members: list[_Request[Any]]
+    state: Arrays
+
+    @property
+    def rows(self) -> int:
+        """Forecasts in it."""
+        return sum(member.rows for member in self.members)
+
+    def join(self, others: "_Batch") -> None:
+        """Take others in."""
+        if self.members:
+            known, new = self.state, others.state
+            self.state = {name: np.concatenate([known[name], new[name]]) for name in known}
+        else:
+            self.state = others.state
+        self.members = [*self.members, *others.members]
+
+    def take(self, outputs: Outputs) -> list[_Request[Any]]:
+        """Give every member its rows of a step's outputs; return those that have ended, let go."""
+        shares = zip(self.members, self._shares(outputs), strict=True)
+        going_on = [member for member, share in shares if member.take(share)]
+        ended = [member for member in going_on if member.ended]
+        self.keep([member for member in going_on if not member.ended])
+        return ended
+
+    def keep(self, kept: list[_Request[Any]]) -> None:
+        """Let go of all other members."""
+        if len(kept) == len(self.members):
+            return
+        stays = np.repeat([m in kept for m in self.members], [m.rows for m in self.members])
+        self.state = {name: values[stays] for name, values in self.state.items()}
+        self.members = kept
+
+    def fail(self, error: BaseException) -> None:
+        """Answer everybody with an error."""
+        for member in self.members:
+            member.future.set_exception(error)
+        self.members = []
+
+    def _shares(self, outputs: Outputs) -> list[Outputs]:
+        """Every member's rows of a step's outputs."""
+        if len(self.members) == 1:
+            return [outputs]
+        ends = np.cumsum([member.rows for member in self.members])
+        rows = [slice(end - m.rows, end) for m, end in zip(self.members, ends, strict=True)]
+        return [{name: values[own] for name, values in outputs.items()} for own in rows]
+
+
+@dataclass(eq=False)
+class _Rollout:
+    """The requests that step together through one model."""
+
+    predictor: Predictor
+    count: Callable[[float], None]
+    here: _Batch = field(default_factory=lambda: _Batch([], {}))
+    pending: list[_Batch] = field(default_factory=list[_Batch])
+    led: bool = False
+
+    @property
+    def rows(self) -> int:
+        """Forecasts in it, those that join with the next step included."""
+        return self.here.rows + sum(arrived.rows for arrived in self.pending)
+
+    def advance(self) -> list[_Request[Any]]:
+        """Step all that somebody waits for; return those that have ended."""
+        here = self.here
+        here.keep([m for m in here.members if m.fail_safely(m.token.raise_if_cancelled)])
+        if not here.members:
+            return []
+        self.count(here.rows)
+        try:
+            step = self.predictor.advance(here.state)
+        except BaseException as error:  # whatever the runtime raises
+            here.fail(error)
+            return []
+        here.state = step.state
+        return here.take(step.outputs)
+
+
+class Scheduler:
+    """Threads that answer a bounded number of requests.
+
+    Parameters
+    ----------
+    threads
+        As many as there are cores: each computes all the time.
+    capacity
+        Requests that it may hold.
+    max_batch
+        Forecasts with which a rollout begins although more frames wait.
+    shown
+        Follows the number of requests held.
+    batches
+        Returns what is told, for every step of a rollout, how many forecasts step together.
+    siblings
+        Other processes with schedulers of their own, whose cores may rest.
+    """
+
+    def __init__(
+        self,
+        threads: int,
+        capacity: int,
+        max_batch: int,
+        shown: Gauge,
+        batches: Callable[[Predictor], Callable[[float], None]],
+        siblings: Siblings | None = None,
+    ) -> None:
+        self._admission = AdmissionLimit(capacity, shown)
+        self._max_batch = max_batch
+        self._batches = batches
+        self._siblings = siblings
+        self._closed = False
+        self._waiting: deque[_Request[Any]] = deque()
+        self._rollouts: dict[Predictor, _Rollout] = {}
+        self._ended: deque[_Request[Any]] = deque()
+        self._lock = threading.Lock()
+        self._resting: list[threading.Semaphore] = []
+        self._threads = [
+            threading.Thread(target=self._work, name=f"forecast-{index}", daemon=True)
+            for index in range(threads)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def idle(self) -> bool:
+        """Whether it holds no request."""
+        return self._admission.idle
+
+    def submit(self, job: Job[T], token: CancellationToken) -> Future[T]:
+        """Take a request. Cancelled before its turn, it never begins.
+
+        Raises
+        ------
+        QueueFullError
+            When ``capacity`` requests are being held.
+        """
+        self._admission.acquire()
+        future: Future[T] = Future()
+        future.add_done_callback(self._release)
+        with self._lock:
+            self._waiting.append(_Request(job, token, future))
+            self._wake(1)
+        return future
+
+    def _release(self, _: Future[T]) -> None:
+        self._admission.release()
+
+    def close(self) -> None:
+        """Let rollouts end, drop what waits; a thread inside a long call is not waited for."""
+        with self._lock:
+            self._closed = True
+            dropped, self._waiting = self._waiting, deque()
+            self._wake(len(self._threads))
+        for member in dropped:
+            member.future.cancel()
+        ends = time.monotonic() + MAX_CLOSE_S
+        for thread in self._threads:
+            thread.join(max(0, ends - time.monotonic()))
+
+    def _wake(self, threads: int) -> None:
+        """Wake threads that rest, under the lock; the last to rest first: its caches are warm."""
+        for _ in range(min(threads, len(self._resting))):
+            self._resting.pop().release()
+
+    def _work(self) -> None:
+        awake = threading.Semaphore(0)
+        while True:
+            with self._lock:
+                act = self._choose()
+                if act is None:
+                    if self._closed:
+                        return
+                    self._resting.append(awake)
+            if act is None:
+                awake.acquire()
+            else:
+                act()
+
+    def _choose(self) -> Callable[[], None] | None:
+        """Choose what to do next, under the lock."""
+        if self._ended:
+            return self._ended.popleft().finish
+        free = [rollout for rollout in self._rollouts.values() if not rollout.led]
+        full = [rollout for rollout in free if rollout.rows >= self._max_batch]
+        if self._waiting and not full:
+            room = self._max_batch - max((rollout.rows for rollout in free), default=0)
+            members = self._next_waiting(room)
+            two_cores = self._has_idle_peer()
+            return lambda: self._begin(members, two_cores)
+        if not free:
+            return None
+        chosen = (full or free)[0]
+        chosen.led = True
+        return lambda: self._lead(chosen)
+
+    def _has_idle_peer(self) -> bool:
+        return bool(self._resting) or (self._siblings is not None and self._siblings.one_rests)
+
+    def _next_waiting(self, room: int) -> list[_Request[Any]]:
+        """Take a thread's share of what waits, under the lock, but not more than there is room."""
+        share = math.ceil(len(self._waiting) / len(self._threads))
+        taken = [self._waiting.popleft() for _ in range(min(share, ENCODED_TOGETHER, room))]
+        return [member for member in taken if member.future.set_running_or_notify_cancel()]
+
+    def _begin(self, members: list[_Request[Any]], two_cores: bool) -> None:
+        """Encode the frames of some requests, those for one model in one batch.
+
+        While a core rests it helps, so that a request alone is there sooner.
+        """
+        by_model: dict[Predictor, list[tuple[_Request[Any], DecodedRequest]]] = defaultdict(list)
+        for member in members:
+            seen = member.begin()
+            if seen is not None:
+                by_model[seen.predictor].append((member, seen))
+        for predictor, group in by_model.items():
+            together = _Batch([member for member, _ in group], {})
+            parts = [seen.frames for _, seen in group]
+            try:
+                frames = parts[0] if len(parts) == 1 else np.concatenate(parts)
+                step = predictor.encode(frames, two_cores=two_cores)
+            except BaseException as error:  # whatever the runtime raises
+                together.fail(error)
+                continue
+            together.state = step.state
+            for member in together.take(step.outputs):
+                member.finish()
+            if together.members:
+                self._arrive(predictor, together)
+
+    def _arrive(self, predictor: Predictor, together: _Batch) -> None:
+        """Let requests join the rollout of their model with its next step."""
+        with self._lock:
+            if predictor not in self._rollouts:
+                self._rollouts[predictor] = _Rollout(predictor, self._batches(predictor))
+            self._rollouts[predictor].pending.append(together)
+
+    def _lead(self, rollout: _Rollout) -> None:
+        """Step a rollout until nobody is left in it, or nobody else can write its answers."""
+        while True:
+            with self._lock:
+                for arrived in rollout.pending:
+                    rollout.here.join(arrived)
+                rollout.pending = []
+                if not rollout.here.members:
+                    del self._rollouts[rollout.predictor]
+                    return
+            ended = rollout.advance()
+            if ended and not self._hand_over(rollout, ended):
+                return
+
+    def _hand_over(self, rollout: _Rollout, ended: list[_Request[Any]]) -> bool:
+        """Leave answers to threads that rest; return whether the rollout is still to be led."""
+        with self._lock:
+            self._ended.extend(ended)
+            if self._resting and (rollout.here.members or rollout.pending):
+                self._wake(len(ended))
+                return True
+            # Who leads no more writes an answer next.
+            rollout.led = False
+            self._wake(len(ended) - 1)
+            return False

@@ -1,0 +1,150 @@
+"""Logs as one JSON object a line, each with the id of its request."""
+
+import logging
+import re
+import time
+from collections.abc import Callable
+from typing import Any, Literal, TypeAlias
+from urllib.parse import quote
+
+from asgi_correlation_id import CorrelationIdMiddleware
+from asgi_correlation_id.context import correlation_id
+from fastapi import FastAPI
+from pythonjsonlogger.json import JsonFormatter
+from starlette.datastructures import MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from rollcast.schemas import REPLICA_HEADER, REQUEST_ID_HEADER
+from service.auth.api_keys import without_tokens
+
+Count: TypeAlias = Callable[[str, str, int, float], None]
+"""Is told a route's path, the method, the status and the seconds of a request."""
+
+access = logging.getLogger("service.http.authorization")
+
+MAX_PATH = 200
+"""Characters of a path that the log shows."""
+_REQUEST_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
+
+
+class AccessLog:
+    """Writes a line for every request once it is answered: whoever waits need not wait for that.
+
+    Parameters
+    ----------
+    app
+        What answers.
+    replica
+        Name of this process among several, for the line and a header; "" where it is alone.
+    count
+        Is told of requests that have a route.
+    """
+
+    def __init__(self, app: ASGIApp, replica: str, count: Count) -> None:
+        self._app = app
+        self._replica = replica
+        self._count = count
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer as the app does."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        begun = time.perf_counter()
+        status = 500
+
+        async def noted(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                if self._replica:
+                    MutableHeaders(scope=message)[REPLICA_HEADER] = self._replica
+            await send(message)
+
+        try:
+            await self._app(scope, receive, noted)
+        finally:
+            seconds = time.perf_counter() - begun
+            if (route := scope.get("route")) is not None:
+                self._count(route.path, scope["method"], status, seconds)
+            if access.isEnabledFor(logging.INFO):
+                self._write(scope, status, seconds)
+
+    def _write(self, scope: Scope, status: int, seconds: float) -> None:
+        parts = {
+            "client": ":".join(map(str, scope["client"] or ())),
+            "method": scope["method"],
+            "path": quote(scope["path"][:MAX_PATH]),
+            "status": status,
+            "duration_ms": round(1e3 * seconds, 1),
+        }
+        if self._replica:
+            parts["replica"] = self._replica
+        access.info("%(method)s %(path)s: %(status)d in %(duration_ms)s ms", parts, extra=parts)
+
+
+def install_access_log(app: FastAPI, replica: str, count: Count) -> None:
+    """Log and count every request, and give it an id: the client's own where it sends a sound one.
+
+    The id goes back in a header, and so does the name of the replica.
+    """
+    app.add_middleware(AccessLog, replica=replica, count=count)
+    app.add_middleware(
+        CorrelationIdMiddleware,
+        header_name=REQUEST_ID_HEADER,
+        validator=lambda text: _REQUEST_ID.fullmatch(text) is not None,
+    )
+
+
+def request_id() -> str | None:
+    """Id of the request that is being answered."""
+    return correlation_id.get()
+
+
+class TextLines(logging.Formatter):
+    """Writes a record as text, without API keys."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line of a record."""
+        return without_tokens(super().format(record))
+
+
+class JsonLines(JsonFormatter):
+    """Writes a record's time, level, logger, message, request, and what it has besides.
+
+    API keys that stand in any of that are cut down to their prefix.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(  # pyright: ignore[reportUnknownMemberType]
+            "{asctime}{levelname}{name}{message}",
+            style="{",
+            rename_fields={"asctime": "time", "levelname": "level", "name": "logger"},
+        )
+        self.default_msec_format = "%s.%03d"
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line of a record."""
+        return without_tokens(super().format(record))
+
+    def add_fields(
+        self, log_data: dict[str, Any], record: logging.LogRecord, message_dict: dict[str, Any]
+    ) -> None:
+        """Fill in what a line says of a record."""
+        super().add_fields(log_data, record, message_dict)
+        if (of_request := request_id()) is not None:
+            log_data["request_id"] = of_request
+
+
+def configuration(log_format: Literal["json", "text"], log_requests: bool) -> dict[str, Any]:
+    """Return what ``logging.config.dictConfig`` takes; everything goes to the standard error."""
+    text = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+    formatter = {"()": JsonLines} if log_format == "json" else {"()": TextLines, "fmt": text}
+    return {
+        "version": 1,
+        "disable_existing_loggers": False,
+        "formatters": {"lines": formatter},
+        "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "lines"}},
+        "loggers": {access.name: {"level": "INFO" if log_requests else "WARNING"}},
+        "root": {"handlers": ["stderr"], "level": "INFO"},
+    }

@@ -1,0 +1,126 @@
+"""What Prometheus reads of the service."""
+
+from collections.abc import Callable
+
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    Summary,
+    generate_latest,
+)
+from prometheus_client.multiprocess import MultiProcessCollector
+
+from rollcast.schemas import PredictTiming
+from service.inference.rollout import Predictor
+from service.serving.registry import Registry
+from service.settings import metrics_are_shared
+
+STAGE_SECONDS = (
+    0.0005, 0.001, 0.002, 0.004, 0.006, 0.008, 0.01, 0.015, 0.02, 0.03, 0.05, 0.1, 0.25, 1, 5,
+)  # fmt: skip
+BATCHES = (1, 2, 4, 8, 16, 32)
+PATH = "/metrics"
+"""Where they are read; who reads them is not counted."""
+
+
+class Metrics:
+    """Counters of one app.
+
+    Where PROMETHEUS_MULTIPROC_DIR names a folder, they are those of all processes that write there.
+    """
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry()
+        self.held = Gauge(
+            "rollcast_held",
+            "Requests that are computed or wait for it, by what computes them",
+            ["workers"],
+            registry=self.registry,
+            multiprocess_mode="livesum",
+        )
+        self._stages = Histogram(
+            "rollcast_stage_seconds",
+            "Time of one stage of a forecast",
+            ["stage", "model"],
+            registry=self.registry,
+            buckets=STAGE_SECONDS,
+        )
+        self._batch = Histogram(
+            "rollcast_batch_size",
+            "Forecasts that step together",
+            ["model"],
+            registry=self.registry,
+            buckets=BATCHES,
+        )
+        self._refused = Counter(
+            "rollcast_refused", "Refused requests", ["problem"], registry=self.registry
+        )
+        # Files in which several processes count, one a kind of figure, are opened at the start:
+        # with the first request there might be no room for them.
+        self._refused.labels("queue-full")
+        names = ["handler", "method"]
+        self._requests = Counter(
+            "http_requests", "Answered requests", [*names, "status"], registry=self.registry
+        )
+        self._durations = Histogram(
+            "http_request_duration_seconds",
+            "Time from a request's head until its whole answer is handed over",
+            names,
+            registry=self.registry,
+            buckets=STAGE_SECONDS,
+        )
+        self.loading = Summary(
+            "rollcast_loading_seconds",
+            "Time in which a process has loaded its models at its start",
+            registry=self.registry,
+        )
+        self._models = Gauge(
+            "rollcast_models",
+            "Versions of models, by whether they are served",
+            ["status"],
+            registry=self.registry,
+            multiprocess_mode="livemostrecent",
+        )
+
+    def forecast(self, model: str, timing: PredictTiming) -> None:
+        """Count a forecast.
+
+        Parameters
+        ----------
+        model
+            NAME@VERSION.
+        """
+        for stage in ("decode", "encode", "rollout"):
+            self._stages.labels(stage, model).observe(getattr(timing, stage) / 1e3)
+
+    def batches(self, predictor: Predictor) -> Callable[[float], None]:
+        """Return what counts the steps of a rollout, told how many forecasts step together."""
+        return self._batch.labels(predictor.manifest.label).observe
+
+    def refusal(self, problem: str) -> None:
+        """Count a refused request by the last part of its problem's type."""
+        self._refused.labels(problem).inc()
+
+    def models(self, registry: Registry) -> None:
+        """Count the models that there are, and have figures for those that are served."""
+        for predictor in registry.served:
+            self.batches(predictor)
+        for status in ("ready", "refused", "unloaded"):
+            found = sum(model.status == status for model in registry.models)
+            self._models.labels(status).set(found)
+
+    def request(self, route: str, method: str, status: int, seconds: float) -> None:
+        """Count and time a request by the template of its path."""
+        if route != PATH:
+            self._requests.labels(route, method, str(status)).inc()
+            self._durations.labels(route, method).observe(seconds)
+
+    def text(self) -> bytes:
+        """Return all figures in Prometheus' text format."""
+        registry = self.registry
+        if metrics_are_shared():
+            registry = CollectorRegistry()
+            MultiProcessCollector(registry)
+        return generate_latest(registry)

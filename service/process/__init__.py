@@ -1,0 +1,1 @@
+"""Server processes: start, stop, connections, Ray Serve."""

@@ -1,1 +1,0 @@
-"""Routes, one module a feature. What they need stands in the app's state."""

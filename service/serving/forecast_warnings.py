@@ -1,0 +1,76 @@
+"""Reasons to trust a forecast less, in words for people."""
+
+import numpy as np
+from jaxtyping import UInt8
+
+from rollcast.footage import RATE_TOLERANCE
+from rollcast.manifest import Manifest
+from rollcast.ood import FrameStats, frame_stats
+from service.inference.rollout import Predictor
+
+
+def doubts(
+    predictor: Predictor,
+    horizon: int,
+    frame_rate: float,
+    frames: UInt8[np.ndarray, "K 128 128 3"],
+) -> list[str]:
+    """Return every reason that there is for a forecast from some frames, so many a second."""
+    manifest = predictor.manifest
+    seen = frame_stats(frames)
+    return [
+        *_of_horizon(manifest, horizon),
+        *_of_rate(manifest, frame_rate),
+        *_of_stillness(seen),
+        *_of_looks(predictor, seen),
+    ]
+
+
+def _of_horizon(manifest: Manifest, horizon: int) -> list[str]:
+    found: list[str] = []
+    if horizon > manifest.trained_horizon:
+        found.append(
+            f"The horizon of {horizon} steps exceeds the {manifest.trained_horizon} steps that "
+            f"{manifest.label} was trained on: later steps are extrapolated."
+        )
+    known = manifest.covariance.empirical
+    if known is not None and horizon > len(known):
+        found.append(
+            f"The empirical covariances of {manifest.label} end with step {len(known) - 1}: "
+            "later steps repeat the last one."
+        )
+    return found
+
+
+def _of_rate(manifest: Manifest, given: float) -> list[str]:
+    rate = manifest.frame_rate_hz
+    if abs(given - rate) <= RATE_TOLERANCE * rate:
+        return []
+    return [
+        f"The frames are {given:g} a second and {manifest.label} was trained on "
+        f"{rate:g}: the forecast assumes what it learned there."
+    ]
+
+
+def _of_stillness(seen: FrameStats) -> list[str]:
+    if not seen.is_still:
+        return []
+    return [
+        "Nothing moves in the four frames: their largest change is "
+        f"{seen.largest_change:.1f} of 255 levels of brightness."
+    ]
+
+
+def _of_looks(predictor: Predictor, seen: FrameStats) -> list[str]:
+    known, familiarity = predictor.manifest.unfamiliar, predictor.familiarity
+    if known is None or familiarity is None:
+        return []
+    score = familiarity.score(seen)
+    if score <= known.threshold:
+        return []
+    percent = 100 * known.false_alarm_rate
+    return [
+        f"The frames look unlike those that {predictor.manifest.label} was trained on: their score "
+        f"of {score:.1f} is over {known.threshold:.1f}, as it is for {percent:.2g} % of those that "
+        "look like them. The forecast, and its covariances, may be far off."
+    ]

@@ -1,0 +1,240 @@
+"""The models that are there: chosen by name or by "auto"."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from rollcast.manifest import Manifest
+from rollcast.scene import Domain
+from rollcast.schemas import AUTO_MODEL
+from service.errors import (
+    InvalidValueError,
+    ModelUnavailableError,
+    NoSuitableModelError,
+    NotReadyError,
+    UnknownModelError,
+)
+from service.inference.rollout import Predictor
+
+
+@dataclass(frozen=True)
+class Model:
+    """One version of one model.
+
+    It is served when it has a predictor, refused when there is a reason, else unloaded.
+    """
+
+    name: str
+    version: int
+    manifest: Manifest | None = None
+    predictor: Predictor | None = None
+    reason: str | None = None
+    card: str | None = None
+
+    @property
+    def label(self) -> str:
+        """NAME@VERSION."""
+        return f"{self.name}@{self.version}"
+
+    @property
+    def status(self) -> Literal["ready", "refused", "unloaded"]:
+        """Whether it is served."""
+        if self.predictor is not None:
+            return "ready"
+        return "unloaded" if self.reason is None else "refused"
+
+    @property
+    def is_default(self) -> bool:
+        """Whether a bare NAME means this version."""
+        return self.manifest is not None and self.manifest.default
+
+
+@dataclass(frozen=True)
+class ModelQuery:
+    """What a request asks of a model."""
+
+    model: str = AUTO_MODEL
+    objects: int | None = None
+    scenario: Domain | None = None
+    final_frame: bool = False
+
+
+class Registry:
+    """Every version of every model, in the order of their names.
+
+    Parameters
+    ----------
+    models
+        Served and refused ones.
+    """
+
+    def __init__(self, models: Sequence[Model]) -> None:
+        self.models = tuple(sorted(models, key=lambda model: (model.name, model.version)))
+
+    @property
+    def served(self) -> list[Predictor]:
+        """The predictors of all models that are ready."""
+        return [model.predictor for model in self.models if model.predictor is not None]
+
+    def without(self, name: str) -> "Registry":
+        """Return the registry with every version of a name unloaded.
+
+        Raises
+        ------
+        UnknownModelError
+            When there is none.
+        """
+        unloaded = [replace(m, predictor=None, reason=None) for m in self.versions(name)]
+        return self.updated(name, unloaded)
+
+    def refusing(self, reasons: Mapping[str, str]) -> "Registry":
+        """Return the registry with some models refused, told by NAME@VERSION."""
+        return Registry(
+            [
+                replace(model, predictor=None, reason=reasons[model.label])
+                if model.label in reasons
+                else model
+                for model in self.models
+            ]
+        )
+
+    @property
+    def refused(self) -> dict[str, str]:
+        """Why models are refused, by NAME@VERSION."""
+        return {model.label: model.reason for model in self.models if model.reason is not None}
+
+    def updated(self, name: str, versions: Sequence[Model]) -> "Registry":
+        """Return the registry with other versions of a name."""
+        others = [model for model in self.models if model.name != name]
+        return Registry([*others, *versions])
+
+    def versions(self, name: str) -> list[Model]:
+        """Return every version of a name.
+
+        Raises
+        ------
+        UnknownModelError
+            When there is none.
+        """
+        found = [model for model in self.models if model.name == name]
+        if not found:
+            raise UnknownModelError.at("model", name, self._labels())
+        return found
+
+    def get(self, name: str, version: int | None = None) -> Model:
+        """Return one version of a name, by default the one that its manifest marks as default.
+
+        Raises
+        ------
+        UnknownModelError
+            When there is no such name or version, or no version is the default.
+        """
+        versions = self.versions(name)
+        wanted = [
+            m for m in versions if (m.is_default if version is None else m.version == version)
+        ]
+        if not wanted:
+            asked = name if version is None else f"{name}@{version}"
+            raise UnknownModelError.at("model", asked, _one_of(model.label for model in versions))
+        return wanted[-1]
+
+    def predictor(self, name: str, version: str | None = None) -> Predictor:
+        """Return the predictor of a name, by default of its default version.
+
+        Raises
+        ------
+        UnknownModelError
+            When there is no such name or version, or the version is no number.
+        ModelUnavailableError
+            When the version is not served.
+        """
+        if version is not None and not _is_number(version):
+            expected = "a version that is a whole number"
+            raise UnknownModelError.at("model", f"{name}@{version}", expected)
+        model = self.get(name, None if version is None else int(version))
+        if model.predictor is None:
+            why = "" if model.reason is None else f": {model.reason}"
+            raise ModelUnavailableError(f"{model.label} is {model.status}{why}")
+        return model.predictor
+
+    def choose(self, query: ModelQuery) -> Predictor:
+        """Return the predictor for a request.
+
+        Raises
+        ------
+        UnknownModelError, ModelUnavailableError, InvalidValueError
+            When a named model is not there, not served or made for something else.
+        NoSuitableModelError
+            When "auto" finds none.
+        NotReadyError
+            When no model is served at all.
+        """
+        if not self.served:
+            raise NotReadyError("No usable model is loaded.")
+        if query.model == AUTO_MODEL:
+            return self._choose_best(query)
+        name, separator, version = query.model.partition("@")
+        predictor = self.predictor(name, version if separator else None)
+        _check_fit(predictor.manifest, query)
+        return predictor
+
+    def _choose_best(self, query: ModelQuery) -> Predictor:
+        """Apply the design's rule for "auto" to the default versions.
+
+        A model for footage knows one set-up alone, so it is chosen where footage is asked for, or
+        where nothing else forecasts so many balls (decision 0129).
+        """
+        objects = query.objects or 1
+        peers = [
+            predictor
+            for predictor in self.served
+            if predictor.manifest.default and predictor.manifest.objects == objects
+        ]
+        if query.scenario is None:
+            known = {scenario for peer in peers for scenario in peer.manifest.scenarios}
+            scenarios = known - {"footage"} or known
+        else:
+            scenarios = {query.scenario}
+        suitable = [
+            peer
+            for peer in peers
+            if scenarios <= set(peer.manifest.scenarios)
+            and (peer.manifest.final_step is not None) == query.final_frame
+            and (query.final_frame or peer.manifest.covariance.source == "predicted")
+        ]
+        if not suitable:
+            kind = "reads a final frame" if query.final_frame else "predicts a covariance"
+            raise NoSuitableModelError.at(
+                "model",
+                AUTO_MODEL,
+                f"a model's name: none for objects {objects} and scenario "
+                f"{query.scenario or 'unknown'} {kind}; served are {self._labels()}",
+            )
+        return min(suitable, key=lambda predictor: predictor.manifest.validation_error_px)
+
+    def _labels(self) -> str:
+        return _one_of(model.label for model in self.models)
+
+
+def _one_of(labels: Iterable[str]) -> str:
+    return "one of " + ", ".join(labels)
+
+
+def _is_number(text: str) -> bool:
+    """Tell whether a text is a whole number, of a length that ``int`` reads."""
+    return text.isascii() and text.isdigit() and len(text) <= 18
+
+
+def _check_fit(manifest: Manifest, query: ModelQuery) -> None:
+    if query.objects not in (None, manifest.objects):
+        expected = f"{manifest.objects}, the number of balls of {manifest.label}"
+        raise InvalidValueError.at("objects", query.objects, expected)
+    if query.scenario is not None and query.scenario not in manifest.scenarios:
+        expected = f"{' or '.join(manifest.scenarios)}, which {manifest.label} is made for"
+        raise InvalidValueError.at("scenario", query.scenario, expected)
+    if query.final_frame and manifest.final_step is None:
+        expected = f"none: {manifest.label} reads the observed frames alone"
+        raise InvalidValueError.at("final_frame", "an image", expected)
+    if not query.final_frame and manifest.final_step is not None:
+        expected = f"an image of step {manifest.final_step}, which {manifest.label} needs"
+        raise InvalidValueError.at("final_frame", None, expected)

@@ -1,0 +1,1 @@
+"""Scene simulation in worker processes."""

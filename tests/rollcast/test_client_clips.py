@@ -1,0 +1,91 @@
+"""Videos as the frames of a forecast, with both clients."""
+
+import av
+import numpy as np
+import pytest
+
+from rollcast.client.images import encoded
+from rollcast.client.testing import FakeService
+from rollcast.errors import FootageError, InvalidArgumentError
+from rollcast.schemas import ModelDetail
+from rollcast.video import read_frames
+
+SIDE = 48
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory):
+    """Two seconds at 40 frames a second, 64 x 48, each of another grey."""
+    return written(tmp_path_factory.mktemp("clips") / "clip.mp4", rate=40)
+
+
+def written(path, rate):
+    with av.open(path, "w") as container:
+        stream = container.add_stream("libx264", rate=rate)
+        stream.width, stream.height, stream.pix_fmt = 64, SIDE, "yuv420p"
+        for index in range(2 * rate):
+            grey = np.full((SIDE, 64, 3), 40 + index, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(grey, format="rgb24")))
+        container.mux(stream.encode())
+    return path
+
+
+@pytest.mark.parametrize("as_text", [False, True])
+def test_four_frames_are_read_from_a_start_on(client, clip, as_text):
+    service = FakeService()
+    forecast = client(service).predict(str(clip) if as_text else clip, start_s=1.0, horizon=3)
+    expected = read_frames(clip, start_s=1.0)
+    asked = service.asked[-1]
+    assert [*asked.frames] == [encoded(frame, None) for frame in expected.frames]
+    assert float(asked.fields["frame_rate"]) == pytest.approx(40)
+    assert "start_s" not in asked.fields
+    assert forecast.frame_size == (SIDE, SIDE)
+    assert forecast.warnings == ()
+
+
+def test_streams_and_many_calls_take_videos_too(client, clip):
+    service = FakeService()
+    connected = client(service)
+    stream = connected.predict_stream(clip, start_s=0.5, horizon=3)
+    assert len(list(stream)) == 3
+    forecasts = connected.predict_many([clip, clip], start_s=0.5, horizon=3)
+    assert len(forecasts) == 2
+    assert len({asked.frames[0] for asked in service.asked}) == 1
+
+
+def test_blended_frames_are_told(client, tmp_path):
+    slow = written(tmp_path / "slow.mp4", rate=30)
+    connected = client(FakeService())
+    forecast = connected.predict(slow, horizon=3)
+    assert "the camera took no frames 40 a second apart" in forecast.warnings[0]
+    stream = connected.predict_stream(slow, horizon=3)
+    assert len(list(stream)) == 3
+    assert stream.forecast.warnings == forecast.warnings
+
+
+def test_a_model_says_how_its_videos_are_read(client, clip):
+    class OfASetUp(FakeService):
+        def _served(self, asked):
+            response = super()._served(asked)
+            if asked.path == "/models/fake":
+                entry = ModelDetail.model_validate_json(response.content)
+                rig = {"colors": ["red"], "crop": (8, 4, 40)}
+                changed = entry.model_copy(update={"frame_rate_hz": 20.0}).model_dump()
+                response = type(response)(200, json=changed | {"rig": rig})
+            return response
+
+    service = OfASetUp()
+    forecast = client(service).predict(clip, horizon=3, model="fake")
+    assert [asked.path for asked in service.asked] == ["/models/fake", "/predict"]
+    assert forecast.frame_size == (40, 40)
+    assert forecast.frame_rate == pytest.approx(20)
+
+
+def test_what_cannot_be_read(client, clip):
+    connected = client(FakeService())
+    with pytest.raises(FootageError, match="ends before"):
+        connected.predict(clip, start_s=5.0)
+    with pytest.raises(FootageError, match="no-such"):
+        connected.predict("no-such.mp4")
+    with pytest.raises(InvalidArgumentError, match="start_s is for a clip"):
+        connected.predict(np.zeros((4, 48, 48, 3), np.uint8), start_s=1.0)

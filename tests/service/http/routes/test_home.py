@@ -1,0 +1,76 @@
+"""The page's files: what its browser may do, what it may keep, and whose libraries they are."""
+
+import re
+
+import pytest
+
+from service.http.routes.home import STATIC
+
+SCRIPTS = sorted(path.relative_to(STATIC).as_posix() for path in STATIC.glob("app/*.js"))
+
+
+def test_the_page_lets_nothing_in_but_its_own(client):
+    page = client.get("/")
+    policy = page.headers["content-security-policy"].split("; ")
+    assert "default-src 'self'" in policy
+    assert {"object-src 'none'", "base-uri 'none'", "frame-ancestors 'none'"} <= set(policy)
+    assert "unsafe" not in page.headers["content-security-policy"]
+    assert page.headers["cache-control"] == "no-cache"
+
+
+def test_the_page_has_no_code_or_style_within(client):
+    text = client.get("/").text
+    assert re.findall(r"<script(?![^>]*\bsrc=)", text) == []
+    assert "<style" not in text
+    assert re.findall(r"\s(?:style|on[a-z]+)=", text) == []
+
+
+def test_every_file_that_the_page_names_is_there(client):
+    names = re.findall(r'(?:src|href)="(static/[^"]+)"', client.get("/").text)
+    assert len(names) >= 6
+    for name in names:
+        assert client.get(f"/{name}").status_code == 200, name
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_every_file_that_a_script_imports_is_there(script: str):
+    text = (STATIC / script).read_text()
+    for name in re.findall(
+        r'^(?:import|export)\b.*? from "([^"]+)"', text, re.MULTILINE | re.DOTALL
+    ):
+        assert ((STATIC / script).parent / name).is_file(), name
+
+
+def test_a_file_is_asked_for_anew_and_sent_once(client):
+    first = client.get("/static/app/main.js")
+    assert first.headers["content-type"].split(";")[0].endswith("/javascript")
+    assert first.headers["cache-control"] == "no-cache"
+    assert first.headers["x-content-type-options"] == "nosniff"
+    again = client.get("/static/app/main.js", headers={"If-None-Match": first.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    assert again.headers["cache-control"] == "no-cache"
+
+
+@pytest.mark.parametrize("path", ["nothing.js", "../app.py", "%2e%2e/app.py", "app"])
+def test_what_is_not_there(client, path: str):
+    response = client.get(f"/static/{path}")
+    assert response.status_code == 404
+    assert response.json()["type"] == "/problems/not-found"
+
+
+def test_libraries_come_with_their_licences():
+    vendored = [folder for folder in (STATIC / "vendor").iterdir() if folder.is_dir()]
+    notice = (STATIC / "vendor/README.md").read_text()
+    assert len(vendored) == 3
+    for folder in vendored:
+        (licence,) = folder.glob("LICENSE*")
+        assert "Permission is hereby granted, free of charge" in licence.read_text()
+        assert f"`{folder.name}/`" in notice
+    size = sum(path.stat().st_size for path in (STATIC / "vendor").rglob("*") if path.is_file())
+    assert size < 1.5e6
+
+
+def test_nothing_is_named_that_lies_elsewhere():
+    for path in STATIC.rglob("*"):
+        if path.suffix in {".js", ".css", ".html"} and "vendor" not in path.parts:
+            assert "://" not in path.read_text(), path

@@ -1,0 +1,81 @@
+import gc
+import threading
+from pathlib import Path
+from weakref import WeakValueDictionary
+
+import numpy as np
+import pytest
+
+from rollcast.manifest import (
+    ENCODER_FILE,
+    EYE_FILE,
+    GOLDEN_FILE,
+    MANIFEST_FILE,
+    STEP_FILE,
+    Manifest,
+)
+from service.inference import onnx_runtime
+from service.inference.onnx_runtime import OnnxPredictor
+
+MODELS = Path(__file__).parents[3] / "models"
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """Names of the graphs that are opened for one core, with no eye open before."""
+    names: list[str] = []
+    open_session = onnx_runtime._session
+
+    def note(graph, threads=1, **options):
+        if threads == 1:
+            names.append(EYE_FILE if isinstance(graph, bytes) else graph.name)
+        return open_session(graph, threads, **options)
+
+    monkeypatch.setattr(onnx_runtime, "_session", note)
+    monkeypatch.setattr(onnx_runtime, "_eyes", WeakValueDictionary())
+    return names
+
+
+def predictor(name: str) -> OnnxPredictor:
+    folder = MODELS / name / "1"
+    return OnnxPredictor(folder, Manifest.read(folder / MANIFEST_FILE))
+
+
+def test_models_with_the_same_eye_share_it_whether_they_see_a_final_frame_or_not(opened):
+    names = ("fieldnet", "posnet", "interpnet")
+    models = [predictor(name) for name in names]
+    assert opened == [EYE_FILE, *(3 * [ENCODER_FILE, STEP_FILE])]
+    for name, model in zip(names, models, strict=True):
+        with np.load(MODELS / name / "1" / GOLDEN_FILE) as golden:
+            outputs = model.encode(golden["frames"]).outputs
+            difference = outputs["positions"] - golden["positions"][:, :, 0]
+        assert np.abs(difference).max() < 0.01
+
+
+@pytest.mark.parametrize("name", ["fieldnet", "fieldnet-between"])
+def test_a_second_core_changes_no_bit(name):
+    model = predictor(name)
+    with np.load(MODELS / name / "1" / GOLDEN_FILE) as golden:
+        frames = golden["frames"]
+    model.encode(frames[:1], two_cores=True)
+    for thread in threading.enumerate():
+        if thread.name == "opens an eye":
+            thread.join()
+    if onnx_runtime.CORES_OF_AN_EYE > 1:
+        assert model._eye._helped is not model._eye._unhelped
+    for rows in (frames[:1], frames):
+        alone, two_cores = model.encode(rows), model.encode(rows, two_cores=True)
+        for mine, other in ((alone.state, two_cores.state), (alone.outputs, two_cores.outputs)):
+            for key, value in mine.items():
+                np.testing.assert_array_equal(value, other[key])
+
+
+def test_an_eye_that_nobody_uses_is_let_go(opened):
+    first, other = predictor("fieldnet"), predictor("fieldnet-2")
+    assert opened.count(EYE_FILE) == 2
+    del first
+    gc.collect()
+    assert len(onnx_runtime._eyes) == 1
+    del other
+    gc.collect()
+    assert not onnx_runtime._eyes

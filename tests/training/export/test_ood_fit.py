@@ -1,0 +1,70 @@
+"""What training frames look like, fitted to simulated scenes, and how it gets into an artefact."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from rollcast.manifest import EYE_FILE, FAMILIARITY_FILE, MANIFEST_FILE, Manifest
+from rollcast.ood import frame_stats
+from tests.training.conftest import HEMISPHERE
+from tests.training.export.test_export import ROOT
+from training.data.shards import SHARD_SCENES, load_recordings, simulate_split
+from training.data.windows import WindowMaker
+from training.export.export import hashes
+from training.export.ood_fit import FALSE_ALARMS, fit, judge, keep, source_frame_stats
+
+
+@pytest.fixture(scope="module")
+def known(runs):
+    """Looks of hemispheres: of those to fit to, and of others."""
+    return [
+        source_frame_stats(HEMISPHERE, split, SHARD_SCENES, 1)
+        for split in ("training", "validation")
+    ]
+
+
+@pytest.fixture(scope="module")
+def familiarity(known):
+    return fit([known[0]])
+
+
+def test_what_it_was_fitted_to_has_scores_about_one(familiarity, known):
+    squares = [familiarity.score(one) ** 2 for one in known[0]]
+    # The mean square of whitened numbers is 1 by definition, but for the one of n that cov takes.
+    assert np.mean(squares) == pytest.approx(1, rel=0.01)
+
+
+def test_the_threshold_leaves_the_wanted_share_above_it(familiarity, known):
+    judged = judge(familiarity, known[1], known[1])
+    assert judged.false_alarm_rate == pytest.approx(FALSE_ALARMS, abs=1 / len(known[1]))
+    assert judged.test_windows == len(known[1])
+
+
+def test_other_pictures_are_unfamiliar(familiarity, known, runs):
+    threshold = judge(familiarity, *known[::-1]).threshold
+    recordings = load_recordings(simulate_split(HEMISPHERE, "validation", SHARD_SCENES, 1))
+    frames = WindowMaker(recordings, final_step=None).window(0, 80, 1).frames
+    noise = np.random.default_rng(0).normal(0, 40, frames.shape)
+    others = {
+        "itself": frames,
+        "a larger cut": np.pad(frames[:, ::2, ::2], ((0, 0), (32, 32), (32, 32), (0, 0))),
+        "a smaller cut": frames[:, 32:96, 32:96].repeat(2, axis=1).repeat(2, axis=2),
+        "noise": (frames + noise).clip(0, 255).astype(np.uint8),
+        "a moving camera": np.stack([np.roll(f, 6 * k, axis=1) for k, f in enumerate(frames)]),
+        "nothing": np.zeros_like(frames),
+    }
+    unfamiliar = {
+        name: familiarity.score(frame_stats(other)) > threshold for name, other in others.items()
+    }
+    assert unfamiliar == {name: name != "itself" for name in others}
+
+
+def test_an_artefact_keeps_it(familiarity, known, tmp_path):
+    folder = shutil.copytree(ROOT / "models" / "posnet" / "1", tmp_path / "posnet" / "1")
+    unfamiliar = judge(familiarity, known[0], known[1])
+    manifest = keep(familiarity, unfamiliar, folder)
+    assert Manifest.read(folder / MANIFEST_FILE) == manifest
+    assert manifest.unfamiliar == unfamiliar
+    assert manifest.files == hashes(folder)
+    assert {EYE_FILE, FAMILIARITY_FILE} <= set(manifest.files)

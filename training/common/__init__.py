@@ -1,0 +1,1 @@
+"""Settings, precision and distributed processes; imports nothing else of the package."""

@@ -1,0 +1,1 @@
+"""Training data: splits, shards of simulations, scene cache, windows, clips."""

@@ -1,0 +1,78 @@
+"""What a taught eye reads of training windows, kept: seen once, rehearsed as often as one likes."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from training.common.distributed import Share
+from training.common.precision import mixed_precision
+from training.data.windows import FRAME_SHAPE, Batch
+from training.networks.recurrent import EyedFamily, Sight, State
+
+TRUTH = ("positions", "angular_velocities")
+
+
+def read_windows(family: EyedFamily, stream: Iterator[Batch], windows: int, path: Path) -> None:
+    """Write what a family's eye reads of so many windows, and their truth.
+
+    Parameters
+    ----------
+    stream
+        Batches with frames.
+    path
+        File that the readings go to, whole or not at all.
+    """
+    device = next(family.parameters()).device
+    kept: dict[str, list[torch.Tensor]] = {}
+    seen = 0
+    family.eval()
+    progress = tqdm(total=windows, unit="window", desc="reading")
+    while seen < windows:
+        batch = next(stream)
+        with torch.no_grad(), mixed_precision(device):
+            sight = family.sight(batch["frames"].to(device))
+        # A map of the ground has no use for more digits than halves have.
+        read = {"s": sight.state.s.half(), "p": sight.state.p.float()}
+        if sight.finals is not None:
+            read["finals"] = sight.finals.float()
+        for name in TRUTH:
+            read[name] = batch[name]
+        for name, part in read.items():
+            kept.setdefault(name, []).append(part.cpu())
+        seen += len(batch["frames"])
+        progress.update(len(batch["frames"]))
+    progress.close()
+    readings = {name: torch.cat(parts) for name, parts in kept.items()}
+    save_whole(path, readings)
+
+
+def save_whole(path: Path, content: dict[str, Any]) -> None:
+    """Write a file so that it is never seen half-written."""
+    unfinished = path.with_suffix(".tmp")
+    torch.save(content, unfinished)
+    unfinished.replace(path)
+
+
+def rehearsed(
+    path: Path, batch_size: int, seed: int, first_batch: int, share: Share
+) -> Iterator[Batch]:
+    """Draw a share of batches of readings for ever; batch k depends on the seed and on k alone."""
+    readings = torch.load(path, weights_only=True)
+    number = first_batch
+    own = share.of(batch_size)
+    while True:
+        generator = np.random.default_rng([seed, number])
+        drawn_rows = torch.from_numpy(generator.integers(len(readings["p"]), size=batch_size))
+        rows = drawn_rows[own.start :: own.step]
+        drawn = {name: part[rows] for name, part in readings.items()}
+        yield Batch(
+            frames=torch.empty(len(own), 0, *FRAME_SHAPE, dtype=torch.uint8),
+            sight=Sight(State(drawn["s"].float(), drawn["p"]), drawn.get("finals")),
+            positions=drawn["positions"],
+            angular_velocities=drawn["angular_velocities"],
+        )
+        number += 1

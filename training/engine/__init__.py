@@ -1,0 +1,1 @@
+"""The training loop, the total loss and initial weights."""

@@ -1,0 +1,132 @@
+"""What a recipe minimises: the loss of forecasts from frames, from readings and from the truth."""
+
+import torch
+
+from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+from training.common.precision import mixed_precision
+from training.data.windows import Batch
+from training.networks.blocks import PIXEL_UNIT
+from training.networks.fieldnet import FieldFamily, FieldNet, true_state
+from training.networks.perception_state import SightedFamily
+from training.networks.recurrent import (
+    EyedFamily,
+    Family,
+    Observation,
+    Sight,
+    State,
+    in_float32,
+)
+from training.objectives.losses import final_loss
+from training.recipes.recipe import Recipe, horizon_at
+
+
+class Objective:
+    """The loss that a recipe gives a family of networks."""
+
+    def __init__(self, recipe: Recipe, family: Family, device: torch.device) -> None:
+        self.recipe = recipe
+        self.family = family
+        self.device = device
+
+    def loss(self, batch: Batch, progress: float) -> torch.Tensor:
+        """Loss of a batch when a share ``progress`` of the budget is gone."""
+        recipe = self.recipe
+        horizon = horizon_at(recipe.curriculum, progress)
+        forecasts = self._forecasts(batch, horizon)
+        loss = self._forecast_loss(forecasts, batch, horizon)
+        loss = loss + self._reading_loss(forecasts, batch)
+        if "practice" in batch:
+            assert recipe.explicit is not None
+            practised = horizon_at(recipe.explicit.curriculum, progress)
+            loss = loss + self._practice_loss(batch["practice"], practised)
+        return loss
+
+    def _forecasts(self, batch: Batch, horizon: int) -> dict[str, Observation]:
+        """Return every member's forecasts of a batch's frames, or of what was read of them."""
+        if "sight" in batch:
+            (s, p), finals = batch["sight"]
+            state = State(s.to(self.device), p.to(self.device))
+            seen = Sight(state, None if finals is None else finals.to(self.device))
+            return self._practised(seen, horizon)
+        frames = batch["frames"].to(self.device)
+        with mixed_precision(self.device):
+            if "guidance" not in batch:
+                return _all_in_float32(self.family(frames, horizon))
+            assert isinstance(self.family, FieldFamily)
+            prompts = (batch["guidance"][0].to(self.device) - PIXEL_UNIT) / PIXEL_UNIT
+            return _all_in_float32(self.family(frames, horizon, prompts))
+
+    def _practised(self, sight: Sight, horizon: int) -> dict[str, Observation]:
+        """Return every member's forecasts from what was read, or is true."""
+        assert isinstance(self.family, EyedFamily)
+        with mixed_precision(self.device):
+            return _all_in_float32(self.family.practise(sight, horizon))
+
+    def _forecast_loss(
+        self, forecasts: dict[str, Observation], batch: Batch, horizon: int
+    ) -> torch.Tensor:
+        """Loss of every member's forecasts of a batch."""
+        recipe = self.recipe
+        positions = batch["positions"].to(self.device)
+        spins = batch["angular_velocities"][:, :, :horizon].to(self.device)
+        # All members read the same angular velocity.
+        loss = recipe.spin_loss(next(iter(forecasts.values())), spins)
+        for member in recipe.members:
+            made = forecasts[member.name]
+            loss = loss + member.weight * member.loss(made, positions[:, :, :horizon])
+            if recipe.task.final_step is not None:
+                final = positions[:, :, recipe.task.final_step]
+                loss = loss + member.weight * final_loss(made, final)
+        return loss
+
+    def _reading_loss(
+        self, forecasts: dict[str, Observation], batch: Batch
+    ) -> torch.Tensor | float:
+        """Loss of what the eyes read; zero where none learns."""
+        explicit = self.recipe.explicit
+        if explicit is None or explicit.reading is None:
+            return 0.0
+        scene_targets = self._scene_targets(batch)
+        shake = radii = None
+        if "guidance" in batch:
+            shake, radii = (part.to(self.device) / PIXEL_UNIT for part in batch["guidance"][1:])
+        readings = {id(made.reading): made.reading for made in forecasts.values()}
+        losses = [
+            explicit.reading(reading, scene_targets, shake, radii)
+            for reading in readings.values()
+            if reading
+        ]
+        return sum(losses, start=0.0)
+
+    def _practice_loss(self, batch: Batch, horizon: int) -> torch.Tensor:
+        """Loss of forecasts that begin with the truth instead of frames."""
+        recipe, explicit = self.recipe, self.recipe.explicit
+        assert explicit is not None
+        centres, ground, measures = self._scene_targets(batch)
+        spins = batch["angular_velocities"][:, :, :horizon].to(self.device)
+        start = true_state(centres[:, :, :OBSERVED_FRAMES], spins[:, :, 0], ground, measures)
+        if isinstance(self.family, SightedFamily):
+            final = None
+            if recipe.task.final_step is not None:
+                final = centres[:, :, FIRST_FORECAST_FRAME + recipe.task.final_step, :2]
+            return self._forecast_loss(
+                self._practised(Sight(start, final), horizon), batch, horizon
+            )
+        assert explicit.motion is not None
+        loss = torch.zeros((), device=self.device)
+        truth = centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
+        for network in self.family.networks().values():
+            assert isinstance(network, FieldNet)
+            moved, turned = network.practise(start, horizon)
+            turning = Observation(moved[..., :2], None, turned)
+            loss = loss + explicit.motion(moved, truth) + recipe.spin_loss(turning, spins)
+        return loss
+
+    def _scene_targets(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        assert "scene_targets" in batch
+        centres, ground, measures = batch["scene_targets"]
+        return centres.to(self.device), ground.to(self.device), measures.to(self.device)
+
+
+def _all_in_float32(observed: dict[str, Observation]) -> dict[str, Observation]:
+    return {name: in_float32(observation) for name, observation in observed.items()}

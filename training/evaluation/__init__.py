@@ -1,0 +1,1 @@
+"""Evaluation on fixed scenes, error breakdown, comparison with the paper."""

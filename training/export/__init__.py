@@ -1,0 +1,1 @@
+"""Artefacts for the service: ONNX graphs, manifest, golden values, model card."""

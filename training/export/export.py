@@ -1,0 +1,330 @@
+"""Exports a trained network as the artefact that the service loads, and proves the export."""
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.manifest import (
+    CARD_FILE,
+    EYE_FILE,
+    FAMILIARITY_FILE,
+    GOLDEN_FILE,
+    HASHED_FILES,
+    MANIFEST_FILE,
+    OUTPUT_SHAPES,
+    CovarianceSource,
+    Manifest,
+    MetricRow,
+    Output,
+    OutputName,
+    Parity,
+    StateTensor,
+    gaussian_radius,
+)
+from rollcast.trajectory import OBSERVED_FRAMES
+from training.data.windows import Window, collate
+from training.engine.trainer import BEST
+from training.evaluation.evaluate import EvaluationSet, Shown, evaluation_sets, metric_rows, run
+from training.export.model_card import model_card
+from training.export.onnx_graphs import (
+    STATE_NAMES,
+    Graphs,
+    first_observation,
+    present,
+    write_graphs,
+)
+from training.export.spec import Trained
+from training.export.weight_rounding import round_weights
+from training.networks.perception import Eye
+from training.networks.perception_state import AttendedTransition
+from training.networks.recurrent import Network
+from training.objectives.metrics import HALF, Forecasts, distances_sigmas
+from training.recipes.recipe import Recipe
+
+Key = TypeVar("Key")
+
+TOLERANCE: Mapping[OutputName, float] = {
+    "positions": 1e-2,
+    "covariances": 5e-2,
+    "angular_velocities": 5e-2,
+    "final_positions": 1e-2,
+}
+"""px, px^2 and rad/s: the largest difference between torch and ONNX Runtime that passes."""
+
+UNITS: Mapping[OutputName, str] = {
+    "positions": "px",
+    "covariances": "px^2",
+    "angular_velocities": "rad/s",
+    "final_positions": "px",
+}
+GOLDEN_SEQUENCES = 2
+CALIBRATED = (0.50, 0.95)
+
+
+def export_run(
+    recipe: Recipe, folder: Path, models: Path, version: int, test_scenes: int, workers: int
+) -> list[Manifest]:
+    """Export every member of a recipe with the best weights of its run.
+
+    Raises
+    ------
+    FileNotFoundError
+        When the run has no weights yet.
+    ValueError
+        When torch and ONNX Runtime differ by more than the tolerance.
+    """
+    best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
+    kind = (recipe.scenarios, recipe.task.objects, recipe.task.final_step)
+    validation = evaluation_sets(*kind, "validation", recipe.validation_scenes, workers)
+    test = evaluation_sets(*kind, "test", test_scenes, workers)
+    manifests: list[Manifest] = []
+    for name, predictor in recipe.build().networks().items():
+        predictor.load_state_dict(best["weights"][name])
+        trained = Trained(recipe, name, predictor, best["sequences"], best["horizon"])
+        to = models / name / str(version)
+        manifests.append(export(trained, to, version, validation, test))
+    return manifests
+
+
+def export(
+    trained: Trained,
+    folder: Path,
+    version: int,
+    validation: Sequence[EvaluationSet[Shown]],
+    test: Sequence[EvaluationSet[Shown]],
+) -> Manifest:
+    """Write ``models/NAME/VERSION`` and prove that it computes what torch does.
+
+    Parameters
+    ----------
+    validation, test
+        Scenes that fit the covariances and choose models, and scenes that the card reports.
+
+    Raises
+    ------
+    ValueError
+        When torch and ONNX Runtime differ by more than the tolerance.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    # That of an earlier export in this place; training.export.ood_fit writes it anew.
+    (folder / FAMILIARITY_FILE).unlink(missing_ok=True)
+    task = trained.recipe.task
+    predictor = trained.predictor.cpu().eval()
+    round_weights(m for m in predictor.modules() if isinstance(m, Eye | AttendedTransition))
+    sample = collate(_spread(validation, GOLDEN_SEQUENCES))["frames"]
+    write_graphs(predictor, sample, folder)
+    horizon = trained.horizon
+    _write_golden(predictor, sample, horizon, folder)
+    windows = _spread(validation, 3)
+    # Not beyond the trained horizon: there a rollout may magnify any rounding.
+    parity = measure_parity(predictor, folder, windows, horizons=(max(horizon // 2, 1), horizon))
+    judged = judge(partial(run, predictor), validation, test, horizon)
+    observation = first_observation(predictor, sample)
+    card = model_card(trained, version, judged.rows, judged.covariance)
+    (folder / CARD_FILE).write_text(card, encoding="utf-8")
+    manifest = Manifest(
+        format_version=1,
+        name=trained.name,
+        version=version,
+        default=True,
+        variant=trained.recipe.member(trained.name).variant,
+        preset=trained.recipe.preset,
+        scenarios=trained.scenarios,
+        objects=task.objects,
+        observed_frames=OBSERVED_FRAMES,
+        frames=task.frames,
+        final_step=task.final_step,
+        frame_rate_hz=trained.frame_rate_hz,
+        frame_size=NETWORK_FRAME_SIZE,
+        trained_horizon=horizon,
+        state=tuple(
+            StateTensor(name=name, shape=tuple(tensor.shape[1:]))
+            for name, tensor in zip(STATE_NAMES, predictor.start(sample), strict=True)
+        ),
+        outputs=tuple(
+            Output(
+                name=name,
+                shape=(task.objects, *OUTPUT_SHAPES[name]),
+                unit=UNITS[name],
+            )
+            for name in observation
+        ),
+        covariance=judged.covariance,
+        angular_velocity="angular_velocities" in observation,
+        training={
+            "sequences": trained.sequences,
+            "seed": trained.recipe.seed,
+            "interaction": task.interaction,
+            "scenes" if trained.filmed is None else "clips": {**trained.sources},
+        },
+        rig=None if trained.filmed is None else trained.filmed.rig,
+        metrics=judged.rows,
+        validation_error_px=judged.validation_error_px,
+        parity=parity,
+        golden_tolerance={name: TOLERANCE[name] for name in observation},
+        files=hashes(folder),
+        licence=trained.licence,
+    )
+    manifest.write(folder / MANIFEST_FILE)
+    return manifest
+
+
+@dataclass(frozen=True)
+class EvaluationSummary:
+    """What a manifest says of a model's forecasts."""
+
+    covariance: CovarianceSource
+    rows: tuple[MetricRow, ...]
+    validation_error_px: float
+
+
+def judge(
+    forecast: Callable[[Sequence[EvaluationSet[Shown]]], Mapping[Shown, Forecasts]],
+    validation: Sequence[EvaluationSet[Shown]],
+    test: Sequence[EvaluationSet[Shown]],
+    horizon: int,
+) -> EvaluationSummary:
+    """Fit a model's covariances on the validation split, and measure it on both.
+
+    Parameters
+    ----------
+    forecast
+        The model: forecasts every set up to T_gen.
+    horizon
+        Its trained horizon.
+    """
+    on_validation = forecast(validation)
+    covariance = fit_covariance(on_validation)
+    rows = metric_rows(validation, with_covariance(on_validation, covariance), horizon)
+    rows += metric_rows(test, with_covariance(forecast(test), covariance), horizon)
+    compared = validation[0].horizon // 2
+    errors = [
+        row.position_error_px
+        for row in rows
+        if row.split == "validation" and row.horizon == compared
+    ]
+    return EvaluationSummary(covariance, tuple(rows), round(float(np.mean(errors)), 4))
+
+
+def _spread(sets: Sequence[EvaluationSet[Shown]], windows: int) -> list[Window]:
+    """Take some windows, from every scenario in turn."""
+    return [sets[k % len(sets)].windows[k // len(sets)] for k in range(windows)]
+
+
+def _write_golden(predictor: Network, frames: Tensor, horizon: int, folder: Path) -> None:
+    with torch.inference_mode():
+        rollout = predictor(frames, horizon)
+    values = zip(first_observation(predictor, frames), present(rollout), strict=True)
+    arrays: dict[str, np.ndarray] = {name: value.numpy() for name, value in values}
+    np.savez_compressed(folder / GOLDEN_FILE, allow_pickle=False, frames=frames.numpy(), **arrays)
+
+
+def measure_parity(
+    predictor: Network, folder: Path, windows: Sequence[Window], horizons: Sequence[int]
+) -> Parity:
+    """Compare torch with ONNX Runtime at batch sizes 1 and ``len(windows)`` and some horizons.
+
+    Raises
+    ------
+    ValueError
+        When an output differs by more than its tolerance.
+    """
+    frames = collate(windows)["frames"]
+    worst: dict[OutputName, float] = {}
+    graphs = Graphs(folder)
+    for batch in (frames[:1], frames):
+        for horizon in horizons:
+            with torch.inference_mode():
+                expected = present(predictor(batch, horizon))
+            rolled = graphs.roll(batch.numpy(), horizon)
+            for (name, value), truth in zip(rolled.items(), expected, strict=True):
+                difference = float(np.abs(value - truth.numpy()).max())
+                worst[name] = max(worst.get(name, 0.0), difference)
+    for name, difference in worst.items():
+        if not difference <= TOLERANCE[name]:
+            raise ValueError(
+                f"{name}: torch and ONNX differ by {difference}, over {TOLERANCE[name]}"
+            )
+    return Parity(
+        max_abs_error={name: float(f"{value:.2e}") for name, value in worst.items()},
+        tolerance={name: TOLERANCE[name] for name in worst},
+    )
+
+
+def fit_covariance(forecasts: Mapping[Key, Forecasts]) -> CovarianceSource:
+    """Fit what the manifest says of uncertainty, on validation forecasts up to T_gen.
+
+    A network that predicts covariances gets a variance scale at every step: the largest of those
+    with which its ellipses of CALIBRATED shares hold as many truths, since too sure is worse than
+    too unsure. The scale of highest likelihood would follow the few forecasts that are far off.
+    Any other network gets the covariance of its own residuals. As far as half of the truths reach
+    then is the radius of the ellipse that should hold half of them: where tails are heavier than a
+    Gaussian's, no scale fits both shares.
+    """
+    residuals = np.concatenate([f.true_positions - f.positions for f in forecasts.values()])
+    residuals = residuals.reshape(-1, residuals.shape[-2], 2).astype(float)
+    covariances = [f.covariances for f in forecasts.values() if f.covariances is not None]
+    if not covariances:
+        moments = np.einsum("nti,ntj->tij", residuals, residuals) / len(residuals)
+        return CovarianceSource(
+            source="empirical",
+            empirical=tuple(
+                ((round(m[0][0], 4), round(m[0][1], 4)), (round(m[1][0], 4), round(m[1][1], 4)))
+                for m in moments.tolist()
+            ),
+            half_radius=_half_radius(distances_sigmas(residuals, moments)),
+        )
+    joined = np.concatenate(covariances).reshape(-1, residuals.shape[1], 2, 2)
+    distances = distances_sigmas(residuals, joined.astype(float))
+    scale = np.max(
+        [(np.quantile(distances, p, axis=0) / gaussian_radius(p)) ** 2 for p in CALIBRATED], axis=0
+    )
+    return CovarianceSource(
+        source="predicted",
+        variance_scale=tuple(round(value, 4) for value in scale.tolist()),
+        half_radius=_half_radius(distances / np.sqrt(scale)),
+    )
+
+
+def _half_radius(distances: np.ndarray) -> tuple[float, ...]:
+    """Radius at every step that holds half of the distances [residuals, steps]."""
+    return tuple(round(value, 4) for value in np.quantile(distances, HALF, axis=0).tolist())
+
+
+def with_covariance(
+    forecasts: Mapping[Key, Forecasts], covariance: CovarianceSource
+) -> Mapping[Key, Forecasts]:
+    """Forecasts with the covariances that the service will answer with."""
+    return {
+        scenario: replace(
+            made,
+            covariances=_served_covariances(made, covariance),
+            half_radii=None if covariance.half_radius is None else np.array(covariance.half_radius),
+        )
+        for scenario, made in forecasts.items()
+    }
+
+
+def _served_covariances(made: Forecasts, covariance: CovarianceSource) -> np.ndarray:
+    if covariance.empirical is not None:
+        by_step = np.array(covariance.empirical, dtype=np.float32)
+        return np.tile(by_step, (*made.positions.shape[:2], 1, 1, 1))
+    assert made.covariances is not None
+    assert covariance.variance_scale is not None
+    scale = np.array(covariance.variance_scale, dtype=np.float32)
+    return made.covariances * scale[:, None, None]
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    """Sha256 of an artefact's files, by name."""
+    possible = (EYE_FILE, FAMILIARITY_FILE, *HASHED_FILES)
+    there = [name for name in possible if (folder / name).exists()]
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in there}

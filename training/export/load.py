@@ -1,0 +1,65 @@
+"""Reads parameters back from a deployed artefact: training goes on from what is committed."""
+
+from pathlib import Path
+
+import onnx
+import torch
+
+from rollcast.manifest import ENCODER_FILE, EYE_FILE, MANIFEST_FILE, STEP_FILE, Manifest
+from training.engine.trainer import BEST
+from training.engine.warm_start import Initial, placed
+from training.export.weight_rounding import stored_weights
+from training.networks.presets import PRESETS
+from training.networks.recurrent import Network
+from training.networks.task import Task
+
+
+def read_parameters(folder: Path) -> dict[str, torch.Tensor]:
+    """Parameters of an exported model by torch's names: its graphs' initialisers."""
+    parameters: dict[str, torch.Tensor] = {}
+    for file in (EYE_FILE, ENCODER_FILE, STEP_FILE):
+        if (folder / file).exists():
+            parameters |= stored_weights(onnx.load(folder / file).graph)
+    return parameters
+
+
+def read_initial(folder: Path) -> Initial:
+    """Return what a training that goes on from an exported model starts with."""
+    manifest = Manifest.read(folder / MANIFEST_FILE)
+    sequences = manifest.training["sequences"]
+    assert isinstance(sequences, int)
+    return Initial(manifest.name, read_parameters(folder), sequences)
+
+
+def initial_networks(folder: Path) -> list[Initial]:
+    """Return what a training starts with: an exported model, or the best networks of a run."""
+    if not (folder / BEST).exists():
+        return [read_initial(folder)]
+    best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
+    return [Initial(name, weights, best["sequences"]) for name, weights in best["weights"].items()]
+
+
+def load_exported(folder: Path) -> tuple[Manifest, Network]:
+    """Rebuild the torch network of ``models/NAME/VERSION``.
+
+    Raises
+    ------
+    ValueError
+        When a parameter of the network is missing in the graphs.
+    """
+    manifest = Manifest.read(folder / MANIFEST_FILE)
+    task = Task(
+        manifest.objects,
+        manifest.final_step,
+        manifest.angular_velocity,
+        bool(manifest.training.get("interaction", True)),
+    )
+    family = PRESETS[manifest.preset]({manifest.name: manifest.variant}, task)
+    predictor = family.networks()[manifest.name]
+    stored = placed(predictor, read_parameters(folder))
+    own = predictor.state_dict()
+    missing = sorted(own.keys() - stored.keys())
+    if missing:
+        raise ValueError(f"{folder} lacks the parameters {', '.join(missing)}")
+    predictor.load_state_dict({name: stored[name] for name in own})
+    return manifest, predictor.eval()

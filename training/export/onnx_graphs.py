@@ -1,0 +1,243 @@
+"""A network as the graphs that are exported, and the graphs run again.
+
+Torch's parameters keep their names as initialisers, so the committed artefact is also what later
+training starts from.
+"""
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from torch import Tensor
+
+from rollcast.manifest import (
+    ENCODER_FILE,
+    EYE_FILE,
+    FRAMES_INPUT,
+    NEXT_PREFIX,
+    OUTPUT_SHAPES,
+    STEP_FILE,
+    OutputName,
+)
+from rollcast.perception_io import FINALS, PLACES, run_perception
+from rollcast.trajectory import OBSERVED_FRAMES
+from training.common.settings import keep_runtime_silent
+from training.export.weight_rounding import rename, store_in_bytes
+from training.networks.perception import Eye, EyedNetwork, looked
+from training.networks.recurrent import Network, Observation, Reading, State
+
+STATE_NAMES = State._fields
+READ_NAMES = Reading._fields[1:-1]
+"""What an encoder reads; where a final frame is seen, the places there too."""
+_OWN_PREFIX = "network."
+
+
+class EyeGraph(torch.nn.Module):
+    """The eye's graph: the same for all networks with the same eye, so a service loads it once."""
+
+    def __init__(self, eye: Eye) -> None:
+        super().__init__()
+        self.eye = eye
+
+    def forward(self, frames: Tensor) -> tuple[Tensor, ...]:
+        """Frames to the places in the last of them and READ_NAMES, as positional tensors."""
+        positions, *read, _ = self.eye(frames)
+        return positions[-1][:, :, -1], *read
+
+
+class ReadEncoderGraph(torch.nn.Module):
+    """The encoder's graph of a network with an eye, behind the eye's."""
+
+    def __init__(self, network: EyedNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(
+        self,
+        ground: Tensor,
+        measures: Tensor,
+        centres: Tensor,
+        velocities: Tensor,
+        spins: Tensor,
+        features: Tensor,
+        finals: Tensor | None = None,
+    ) -> tuple[Tensor, ...]:
+        """Turn what was read into the state and the first observation, as positional tensors."""
+        reading = Reading((), ground, measures, centres, velocities, spins, features)
+        state = self.network.begin(reading, finals)
+        return *state, *present(self.network.observe_first(state))
+
+
+class EncoderGraph(torch.nn.Module):
+    """The encoder's graph of any other network."""
+
+    def __init__(self, network: Network) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, frames: Tensor) -> tuple[Tensor, ...]:
+        """Frames to the state and the first observation, as positional tensors."""
+        state = self.network.start(frames)
+        return *state, *present(self.network.observe_first(state))
+
+
+class StepGraph(torch.nn.Module):
+    """The step's graph."""
+
+    def __init__(self, network: Network) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, s: Tensor, p: Tensor) -> tuple[Tensor, ...]:
+        """State to the next state and its observation, as positional tensors."""
+        state = self.network.advance(State(s, p))
+        return *state, *present(self.network.observe(state))
+
+
+def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
+    """Write the graphs of a network into an artefact's folder.
+
+    Parameters
+    ----------
+    frames
+        [B, K, 128, 128, 3], what the network is traced with.
+    """
+    outputs = list(first_observation(predictor, frames))
+    encoded = [*STATE_NAMES, *outputs]
+    if isinstance(predictor, EyedNetwork):
+        (eye,) = (EyeGraph(part) for part in predictor.modules() if isinstance(part, Eye))
+        seen, read_names = (frames[:, :OBSERVED_FRAMES],), [PLACES, *READ_NAMES]
+        _write_graph(eye, seen, [FRAMES_INPUT], read_names, folder / EYE_FILE)
+        with torch.inference_mode():
+            (_, *read, _), finals = looked(eye.eye, frames)
+        names = list(READ_NAMES)
+        if finals is not None:
+            names.append(FINALS)
+            read.append(finals)
+        encoder = ReadEncoderGraph(predictor)
+        _write_graph(encoder, tuple(read), names, encoded, folder / ENCODER_FILE)
+    else:
+        (folder / EYE_FILE).unlink(missing_ok=True)
+        encoder = EncoderGraph(predictor)
+        _write_graph(encoder, (frames,), [FRAMES_INPUT], encoded, folder / ENCODER_FILE)
+    with torch.inference_mode():
+        state = tuple(predictor.start(frames))
+    stepped = [*(NEXT_PREFIX + name for name in STATE_NAMES), *_of_a_step(outputs)]
+    _write_graph(StepGraph(predictor), state, list(STATE_NAMES), stepped, folder / STEP_FILE)
+
+
+def _write_graph(
+    module: torch.nn.Module,
+    arguments: tuple[Tensor, ...],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    path: Path,
+) -> None:
+    """Write a graph; the first axis of all arguments is the batch's."""
+    # Ordinary tensors: those made in inference mode cannot be traced.
+    arguments = tuple(argument.clone() for argument in arguments)
+    batch = torch.export.Dim("batch", min=1, max=4096)
+    with warnings.catch_warnings():
+        # The state's tensors share the batch axis; torch warns that it keeps one name for it.
+        warnings.filterwarnings("ignore", message="# The axis name")
+        # torch's exporter calls what torch itself has deprecated.
+        warnings.filterwarnings("ignore", message=".isinstance.treespec", category=FutureWarning)
+        torch.onnx.export(
+            module.eval(), arguments, path, input_names=list(inputs), output_names=list(outputs),
+            dynamic_shapes=tuple({0: batch} for _ in arguments), dynamo=True, external_data=False,
+            verbose=False,
+        )  # fmt: skip
+    model = onnx.load(path)
+    for initialiser in model.graph.initializer:
+        rename(model.graph, initialiser.name, initialiser.name.removeprefix(_OWN_PREFIX))
+        initialiser.name = initialiser.name.removeprefix(_OWN_PREFIX)
+    store_in_bytes(model.graph)
+    drop_traces(model.graph)
+    onnx.checker.check_model(model)
+    onnx.save(model, path)
+
+
+def drop_traces(graph: onnx.GraphProto) -> None:
+    """Drop the exporter's stack traces: paths of this machine, and other bytes in every export."""
+    parts = (graph.node, graph.initializer, graph.value_info, graph.input, graph.output)
+    for part in (graph, *(one for of_kind in parts for one in of_kind)):
+        del part.metadata_props[:]
+        part.doc_string = ""
+
+
+class Graphs:
+    """An artefact's graphs, opened on one thread as the service does: to prove and to measure them.
+
+    Parameters
+    ----------
+    folder
+        ``models/NAME/VERSION``.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        keep_runtime_silent()
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        opened = {
+            file: onnxruntime.InferenceSession(folder / file, options)
+            for file in (EYE_FILE, ENCODER_FILE, STEP_FILE)
+            if (folder / file).exists()
+        }
+        self._eye = opened.get(EYE_FILE)
+        self._encoder, self._step = opened[ENCODER_FILE], opened[STEP_FILE]
+        self._read = [one.name for one in self._encoder.get_inputs()]
+        named = {one.name for one in self._encoder.get_outputs()}
+        self._outputs: list[OutputName] = [name for name in OUTPUT_SHAPES if name in named]
+
+    def roll(self, frames: np.ndarray, horizon: int) -> dict[OutputName, np.ndarray]:
+        """Forecast the steps 0..horizon-1 of frames: outputs [B, N, T, ...] by name."""
+        seen = {FRAMES_INPUT: frames}
+        if self._eye is not None:
+            seen = run_perception(self._eye.run, self._read, frames)
+        values = self._encoder.run([*STATE_NAMES, *self._outputs], seen)
+        state, first = values[: len(STATE_NAMES)], values[len(STATE_NAMES) :]
+        rows: dict[OutputName, list[np.ndarray]] = {
+            name: [value] for name, value in zip(self._outputs, first, strict=True)
+        }
+        stepped = _of_a_step(self._outputs)
+        for _ in range(horizon - 1):
+            values = self._step.run(
+                [*(NEXT_PREFIX + name for name in STATE_NAMES), *stepped],
+                dict(zip(STATE_NAMES, state, strict=True)),
+            )
+            state = values[: len(STATE_NAMES)]
+            for name, value in zip(stepped, values[len(STATE_NAMES) :], strict=True):
+                rows[name].append(value)
+        return {
+            name: np.stack(parts, axis=2) if name in stepped else parts[0]
+            for name, parts in rows.items()
+        }
+
+
+def present(observation: Observation) -> tuple[Tensor, ...]:
+    """Return the outputs that a network has, in their order."""
+    outputs = observation._replace(reading=None)
+    return tuple(part for part in outputs if isinstance(part, Tensor))
+
+
+def first_observation(predictor: Network, frames: Tensor) -> dict[OutputName, Tensor]:
+    """First observation by output name, without what the network does not have."""
+    with torch.inference_mode():
+        observation = predictor.observe_first(predictor.start(frames))
+    named: dict[OutputName, Tensor | None] = {
+        "positions": observation.positions,
+        "covariances": observation.covariances,
+        "angular_velocities": observation.angular_velocities,
+        "final_positions": observation.final_positions,
+    }
+    return {name: value for name, value in named.items() if value is not None}
+
+
+def _of_a_step(outputs: Sequence[OutputName]) -> list[OutputName]:
+    """Return the step graph's outputs: the final position is said by the encoder alone."""
+    return [name for name in outputs if name != "final_positions"]

@@ -1,0 +1,157 @@
+"""Fits what training frames look like, so that the service can tell when others do not (0120)."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rollcast.manifest import FAMILIARITY_FILE, MANIFEST_FILE, Manifest, Unfamiliar
+from rollcast.ood import Familiarity, FrameStats, frame_stats, summed_up
+from rollcast.scene import SMALL_RADIUS_M, Scenario
+from training.data.clip_dataset import Clips
+from training.data.shards import Source, load_recordings, simulate_split
+from training.data.splits import Split
+from training.data.windows import Symmetry, WindowMaker, fixed_windows
+from training.export.export import hashes
+
+COMPONENTS = 24
+LATEST_START = 140
+"""Last frame of a simulation at which a window may begin, as in training."""
+WINDOWS_A_SCENE = 24
+CLIP_FRAMES_BETWEEN = 3
+LEAST_VARIANCE = 1e-6
+"""Relative to the largest: of few windows some numbers do not vary at all."""
+FALSE_ALARMS = 0.005
+"""Share of the validation windows that the threshold leaves above it."""
+FAMILIAR_SCENES = 100
+"""Of the training split, and as many of the validation split, that suffice."""
+TEST_SCENES = 500
+SEED = 120
+
+
+def familiarise(folders: Sequence[Path], scenes: int, workers: int) -> list[Manifest]:
+    """Fit, and write into artefacts, what the frames look like that they were trained on.
+
+    Artefacts for the same scenarios and number of balls get the same file.
+
+    Parameters
+    ----------
+    folders
+        ``models/NAME/VERSION``.
+    scenes
+        Of the training split to fit to and of the validation split for the threshold, a kind.
+    """
+    kinds: dict[tuple[tuple[Scenario, ...], int], list[Path]] = {}
+    for folder in folders:
+        manifest = Manifest.read(folder / MANIFEST_FILE)
+        kinds.setdefault((manifest.simulated, manifest.objects), []).append(folder)
+    written: list[Manifest] = []
+    for kind, alike in sorted(kinds.items()):
+        sources = _sources(*kind)
+        familiarity = fit(
+            [source_frame_stats(source, "training", scenes, workers) for source in sources]
+        )
+        known = [
+            one for s in sources for one in source_frame_stats(s, "validation", scenes, workers)
+        ]
+        fresh = [one for s in sources for one in fixed_looks(s, workers)]
+        unfamiliar = judge(familiarity, known, fresh)
+        written += [keep(familiarity, unfamiliar, folder) for folder in alike]
+    return written
+
+
+def _sources(scenarios: Sequence[Scenario], objects: int) -> list[Source]:
+    """Return the kinds of scenes that models for some scenarios are trained on."""
+    sources = [Source(scenario, objects) for scenario in scenarios]
+    if objects == 1:  # some of a training's balls are small (training/recipes)
+        sources += [Source(s, objects, SMALL_RADIUS_M) for s in scenarios if s != "heightfield"]
+    return sources
+
+
+def judge(
+    familiarity: Familiarity, known: Sequence[FrameStats], fresh: Sequence[FrameStats]
+) -> Unfamiliar:
+    """Choose the threshold on known frames; count how often fresh ones exceed it."""
+    scores = [familiarity.score(one) for one in known]
+    threshold = round(float(np.quantile(scores, 1 - FALSE_ALARMS)), 3)
+    alarms = [familiarity.score(one) > threshold for one in fresh]
+    return Unfamiliar(
+        threshold=threshold,
+        false_alarm_rate=round(float(np.mean(alarms)), 4),
+        test_windows=len(fresh),
+    )
+
+
+def familiarise_clips(folder: Path, clips: Mapping[Split, Clips]) -> Manifest:
+    """Fit, and write into an artefact, what the clips look like that it was trained on.
+
+    Windows begin every few frames of the training clips, under any of the square's symmetries; the
+    threshold is chosen on the validation clips, the false alarms are counted on the test clips.
+    """
+    fitted = fit([clip_frame_stats(clips["training"], symmetric=True)])
+    known, fresh = (
+        clip_frame_stats(clips[split], symmetric=False) for split in ("validation", "test")
+    )
+    return keep(fitted, judge(fitted, known, fresh), folder)
+
+
+def keep(familiarity: Familiarity, unfamiliar: Unfamiliar, folder: Path) -> Manifest:
+    """Write both into an artefact."""
+    familiarity.write(folder / FAMILIARITY_FILE)
+    manifest = Manifest.read(folder / MANIFEST_FILE)
+    changes = {"unfamiliar": unfamiliar, "files": hashes(folder)}
+    changed = Manifest.model_validate(dict(manifest) | changes)
+    changed.write(folder / MANIFEST_FILE)
+    return changed
+
+
+def fit(by_source: Sequence[Sequence[FrameStats]]) -> Familiarity:
+    """Fit a Gaussian to every source's frame statistics."""
+    fitted = [_fit(seen) for seen in by_source]
+    return Familiarity(*(np.stack(parts).astype(np.float32) for parts in zip(*fitted, strict=True)))
+
+
+def _fit(seen: Sequence[FrameStats]) -> tuple[np.ndarray, ...]:
+    """Return the fields of a Familiarity for one source."""
+    thumbnails = np.stack([one.thumbnail for one in seen])
+    thumbnail = thumbnails.mean(axis=0)
+    components = np.linalg.svd(thumbnails - thumbnail, full_matrices=False)[2][:COMPONENTS]
+    numbers = np.stack([summed_up(one, thumbnail, components) for one in seen]).astype(float)
+    mean = numbers.mean(axis=0)
+    variances, axes = np.linalg.eigh(np.cov(numbers.T))
+    variances = variances.clip(min=LEAST_VARIANCE * variances[-1])
+    return thumbnail, components, mean, (axes / np.sqrt(variances)).T
+
+
+def source_frame_stats(source: Source, split: Split, scenes: int, workers: int) -> list[FrameStats]:
+    """Look at windows that begin at any time, under any of the square's symmetries."""
+    recordings = load_recordings(simulate_split(source, split, scenes, workers))
+    maker = WindowMaker(recordings, final_step=None)
+    generator = np.random.default_rng(SEED)
+    seen: list[FrameStats] = []
+    for index in range(len(recordings)):
+        for start in generator.integers(LATEST_START + 1, size=WINDOWS_A_SCENE):
+            symmetry = Symmetry(int(generator.integers(4)), bool(generator.integers(2)))
+            window = symmetry.apply(maker.window(index, int(start), horizon=1))
+            seen.append(frame_stats(window.frames))
+    return seen
+
+
+def clip_frame_stats(clips: Clips, *, symmetric: bool) -> list[FrameStats]:
+    """Look at windows that begin every few frames of clips."""
+    generator = np.random.default_rng(SEED)
+    seen: list[FrameStats] = []
+    for place in clips.places(horizon=1, every=CLIP_FRAMES_BETWEEN):
+        window = clips.window(place, horizon=1)
+        if symmetric:
+            turned = Symmetry(int(generator.integers(4)), bool(generator.integers(2)))
+            window = turned.apply(window)
+        seen.append(frame_stats(window.frames))
+    return seen
+
+
+def fixed_looks(source: Source, workers: int) -> list[FrameStats]:
+    """Look at the fixed windows of the test split."""
+    recordings = load_recordings(simulate_split(source, "test", TEST_SCENES, workers))
+    windows = fixed_windows(recordings, horizon=1, final_step=None)
+    return [frame_stats(window.frames) for window in windows]

@@ -1,0 +1,241 @@
+"""A second version of a model whose eye convolves in 8 bits: faster, a little less exact.
+
+Static quantisation (decision 0021). Nothing is trained: the ranges of the activations are those
+that validation frames reach.
+"""
+
+import shutil
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import onnx
+
+from rollcast.manifest import (
+    CARD_FILE,
+    ENCODER_FILE,
+    EYE_FILE,
+    FAMILIARITY_FILE,
+    FRAMES_INPUT,
+    GOLDEN_FILE,
+    MANIFEST_FILE,
+    STEP_FILE,
+    Manifest,
+    OutputName,
+    Parity,
+)
+from rollcast.scene import Scenario
+from training.common.settings import keep_runtime_silent
+from training.data.windows import collate, compared_horizon
+from training.evaluation.evaluate import EvaluationSet, evaluation_sets, markdown_table
+from training.export.export import EvaluationSummary, hashes, judge
+from training.export.onnx_graphs import Graphs, drop_traces
+from training.export.weight_rounding import store_in_bytes
+from training.objectives.metrics import Forecasts, beside_truth
+
+KEPT_IN_FLOAT = ("eye.first.where.", "eye.first.ground.")
+"""Convolutions whose outputs are what is read: their rounding would cost most."""
+
+TOLERANCE: Mapping[OutputName, float] = {
+    "positions": 1.0,
+    "covariances": 0.5,
+    "angular_velocities": 0.5,
+    "final_positions": 1.0,
+}
+"""px, px^2, rad/s: the largest difference from torch, and between processors, that passes."""
+
+LEAST_GAIN = 1.5
+MOST_LOSS_PX = 0.2
+VALIDATION_SCENES = 100
+CALIBRATION_WINDOWS = 20
+"""Of every scenario."""
+BATCH = 50
+TIMED_FORECASTS = 40
+
+
+class NotWorthItError(Exception):
+    """A quantised model is too slow or too inexact to be a version of its own."""
+
+
+def quantise(source: Path, version: int, test_scenes: int, workers: int) -> Manifest:
+    """Write another version of ``models/NAME/VERSION`` beside it, which is never the default.
+
+    Raises
+    ------
+    FileNotFoundError
+        When there is no such model, or it has no eye.
+    NotWorthItError
+        When it is not LEAST_GAIN times as fast, or errs by more than MOST_LOSS_PX more.
+    """
+    float32 = Manifest.read(source / MANIFEST_FILE)
+    horizon = compared_horizon(float32.objects)
+    sets_of = partial(
+        evaluation_sets, float32.simulated, float32.objects, float32.final_step, workers=workers
+    )
+    validation = sets_of("validation", VALIDATION_SCENES)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        write_quantised(source / EYE_FILE, folder / EYE_FILE, _calibration_frames(validation))
+        known = () if float32.unfamiliar is None else (FAMILIARITY_FILE,)
+        for file in (ENCODER_FILE, STEP_FILE, *known):
+            shutil.copy(source / file, folder / file)
+        slow, fast = Graphs(source), Graphs(folder)
+        gain = _gain(slow, fast, validation[0], horizon)
+        test = sets_of("test", test_scenes)
+        judged = judge(partial(_forecasts, fast), validation, test, float32.trained_horizon)
+        loss = {
+            row.scenario: row.position_error_px - before.position_error_px
+            for row, before in zip(judged.rows, float32.metrics, strict=True)
+            if (row.split, row.horizon) == ("validation", horizon)
+        }
+        changes = ", ".join(f"{change:+.2f} px ({scenario})" for scenario, change in loss.items())
+        said = f"{gain:.2f} times as fast up to T={horizon}, its error there changes by {changes}"
+        if gain < LEAST_GAIN or max(loss.values()) > MOST_LOSS_PX:
+            raise NotWorthItError(f"{float32.label} in 8 bits: {said}; nothing is written")
+        parity = _write_golden(fast, source / GOLDEN_FILE, folder / GOLDEN_FILE, horizon)
+        card = _card(float32, version, said, judged)
+        (folder / CARD_FILE).write_text(card, encoding="utf-8")
+        changed = {
+            "version": version,
+            "default": False,
+            "covariance": judged.covariance,
+            "metrics": judged.rows,
+            "validation_error_px": judged.validation_error_px,
+            "training": float32.training | {"quantised": f"{float32.label}: {said}"},
+            "parity": parity,
+            "golden_tolerance": {name: TOLERANCE[name] for name in float32.output_names},
+            "files": hashes(folder),
+        }
+        manifest = Manifest.model_validate(dict(float32) | changed)
+        manifest.write(folder / MANIFEST_FILE)
+        shutil.copytree(folder, source.parent / str(version), dirs_exist_ok=True)
+    return manifest
+
+
+def write_quantised(source: Path, to: Path, frames: np.ndarray) -> None:
+    """Write a graph whose convolutions compute in 8 bits, but for KEPT_IN_FLOAT.
+
+    Parameters
+    ----------
+    frames
+        [B, K, 128, 128, 3], what the ranges of the activations are measured on.
+    """
+    keep_runtime_silent()
+    from onnxruntime.quantization import (
+        CalibrationDataReader,
+        QuantFormat,
+        QuantType,
+        quant_pre_process,
+        quantize_static,
+    )
+
+    class Frames(CalibrationDataReader):
+        def __init__(self) -> None:
+            self._rows = iter(frames)
+
+        # None ends it, which its base's annotation leaves out.
+        def get_next(self) -> dict[str, np.ndarray] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+            row = next(self._rows, None)
+            return None if row is None else {FRAMES_INPUT: row[None]}
+
+    with tempfile.TemporaryDirectory() as temporary:
+        # Weights in bytes, with what makes float32 of them (decision 0017), become constants.
+        folded = Path(temporary) / source.name
+        quant_pre_process(source, folded, skip_symbolic_shape=True)
+        nodes = onnx.load(folded).graph.node
+        kept = [
+            n.name for n in nodes if n.op_type == "Conv" and n.input[1].startswith(KEPT_IN_FLOAT)
+        ]
+        # Weights in 7 bits: two products of 8 overflow where a processor adds them in 16 bits.
+        quantize_static(
+            folded, to, Frames(), quant_format=QuantFormat.QDQ,
+            op_types_to_quantize=["Conv"], nodes_to_exclude=kept, per_channel=True,
+            activation_type=QuantType.QUInt8, weight_type=QuantType.QInt8,
+            reduce_range=True,
+        )  # fmt: skip
+    model = onnx.load(to)
+    store_in_bytes(model.graph)
+    drop_traces(model.graph)
+    onnx.checker.check_model(model)
+    onnx.save(model, to)
+
+
+def _calibration_frames(sets: Sequence[EvaluationSet[Scenario]]) -> np.ndarray:
+    windows = [window for part in sets for window in part.windows[:CALIBRATION_WINDOWS]]
+    return collate(windows)["frames"].numpy()
+
+
+def _forecasts(
+    graphs: Graphs, sets: Sequence[EvaluationSet[Scenario]]
+) -> Mapping[Scenario, Forecasts]:
+    """Forecast every set up to T_gen."""
+    made: dict[Scenario, Forecasts] = {}
+    for part in sets:
+        batches = [part.windows[k : k + BATCH] for k in range(0, len(part.windows), BATCH)]
+        rolled = [graphs.roll(collate(b)["frames"].numpy(), part.horizon) for b in batches]
+        said = {name: np.concatenate([batch[name] for batch in rolled]) for name in rolled[0]}
+        made[part.scenario] = beside_truth(
+            part.windows, said["positions"], said.get("covariances"), said.get("angular_velocities")
+        )
+    return made
+
+
+def _gain(slow: Graphs, fast: Graphs, part: EvaluationSet[Scenario], horizon: int) -> float:
+    """How many times as fast a lone forecast is, on one thread: taken by turns, medians."""
+    spent: dict[Graphs, list[float]] = {slow: [], fast: []}
+    for window in part.windows[:TIMED_FORECASTS]:
+        frames = collate([window])["frames"].numpy()
+        for graphs, seconds in spent.items():
+            began = time.perf_counter()
+            graphs.roll(frames, horizon)
+            seconds.append(time.perf_counter() - began)
+    return float(np.median(spent[slow]) / np.median(spent[fast]))
+
+
+def _write_golden(graphs: Graphs, source: Path, to: Path, horizon: int) -> Parity:
+    """Keep what the graphs say of the golden frames, and tell how far off torch's answers it is.
+
+    Raises
+    ------
+    NotWorthItError
+        When that is more than TOLERANCE.
+    """
+    with np.load(source) as golden:
+        frames = golden[FRAMES_INPUT]
+        torchs = {name: golden[name] for name in golden.files if name != FRAMES_INPUT}
+    said = graphs.roll(frames, horizon)
+    off: dict[OutputName, float] = {
+        name: float(np.abs(value - torchs[name][:, :, : value.shape[2]]).max())
+        for name, value in said.items()
+    }
+    for name, difference in off.items():
+        if difference > TOLERANCE[name]:
+            raise NotWorthItError(f"{name}: {difference} off torch's, over {TOLERANCE[name]}")
+    np.savez_compressed(to, allow_pickle=False, frames=frames, **said)
+    return Parity(max_abs_error=off, tolerance={name: TOLERANCE[name] for name in off})
+
+
+def _card(float32: Manifest, version: int, said: str, judged: EvaluationSummary) -> str:
+    """Model card in Markdown."""
+    return f"""# {float32.name}@{version}
+
+{float32.label} with its eye's convolutions in 8 bits: {said}.
+Measured on {VALIDATION_SCENES} validation scenes a scenario, and on one thread of a processor with
+instructions for products of 8 bits; without them it is less fast. What the card of {float32.label}
+says of its training, its limits and its licence holds for this version too.
+
+## Measured
+
+128-pixel units, as in the card of {float32.label}, with the graphs of this version.
+
+### Test
+
+{markdown_table([row for row in judged.rows if row.split == "test"])}
+
+### Validation
+
+{markdown_table([row for row in judged.rows if row.split == "validation"])}
+"""

@@ -1,0 +1,384 @@
+"""The recurrent predictor: encoder, transition, motion, read-outs, composed (design, section 4)."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from training.networks.blocks import PIXEL_UNIT
+
+ANGULAR_VELOCITY_UNIT = 20.0
+"""rad/s per unit of the networks' read-out; unscaled, its loss would drown the positions'."""
+
+LARGEST_VARIANCE_PX2 = 100.0
+SMALLEST_VARIANCE_PX2 = 0.01
+
+
+class State(NamedTuple):
+    """h_t = (s_t, p_t): distributed state [B, N, C, 8, 8] and motion state [B, N, P].
+
+    A network with an explicit state keeps its map of the ground [B, 3, G, G] as s.
+    """
+
+    s: Tensor
+    p: Tensor
+
+
+class Sight(NamedTuple):
+    """What a forecast of a network with an eye begins with: read of the frames, or true."""
+
+    state: State
+    """A map of the ground, and every ball's numbers (``fieldnet.py``)."""
+    finals: Tensor | None = None
+    """Image points [B, N, 2] of the balls in the final frame, halves of the frame; None where none
+    is seen, or where the state knows them."""
+
+
+class Reading(NamedTuple):
+    """What an eye reads from the frames (``eye.py``); a forecast carries it for its loss alone.
+
+    Halves of the frame in image axes (x right, y down, z towards the camera); rad/s / 20.
+    """
+
+    seen_positions: tuple[Tensor, ...]
+    """[B, N, K, 2] in the seen frames: the first look, closer ones, and a zoomed one."""
+    ground: Tensor
+    """[B, 3, G, G]: where a ball's centre can rest, see ``training.data.rest_height_map``."""
+    measures: Tensor
+    """[B, 2]: see :func:`training.networks.perception.measures_of`."""
+    centres: Tensor
+    """[B, N, 3] at t = 0."""
+    velocities: Tensor
+    """[B, N, 3] at t = 0, a frame."""
+    spins: Tensor
+    """[B, N, 3] at t = 0, world axes."""
+    features: Tensor
+    """[B, N, features]: what else the closer look shows."""
+    radii: Tensor | None = None
+    """[B, N]: of the balls in the picture, where the eye has a zoomed look."""
+
+
+class Observation(NamedTuple):
+    """What a state says: 128-pixel units, rad/s; None where the network has no such output.
+
+    Shapes are [B, N, 2], [B, N, 2, 2] and [B, N, 3] for one step, with T after N for a rollout. The
+    final position [B, N, 2] is said by h_0 alone, once for a rollout.
+    """
+
+    positions: Tensor
+    covariances: Tensor | None
+    angular_velocities: Tensor | None
+    final_positions: Tensor | None = None
+    reading: Reading | None = None
+
+
+class Motion(Protocol):
+    """How the motion state p_t begins and moves on."""
+
+    def start(self, s_0: Tensor) -> Tensor:
+        """p_0 from s_0."""
+        ...
+
+    def move(self, p: Tensor, s: Tensor, s_next: Tensor) -> Tensor:
+        """p_{t+1} from p_t, s_t and s_{t+1}."""
+        ...
+
+
+class DirectMotion(nn.Module):
+    """p_t = phi_p(aug_xy(s_t)) at every step (PosNet)."""
+
+    def __init__(self, readout: nn.Module) -> None:
+        super().__init__()
+        self.readout = readout
+
+    def start(self, s_0: Tensor) -> Tensor:
+        """p_0 from s_0."""
+        return self.readout(s_0)
+
+    def move(self, p: Tensor, s: Tensor, s_next: Tensor) -> Tensor:  # noqa: ARG002
+        """p_{t+1} from s_{t+1} alone."""
+        return self.readout(s_next)
+
+
+class IncrementalMotion(nn.Module):
+    """p_{t+1} = p_t + phi_p(s_t); p_0 is read by a head of its own (DispNet, ProbNet)."""
+
+    def __init__(self, first: nn.Module, increment: nn.Module) -> None:
+        super().__init__()
+        self.first = first
+        self.increment = increment
+
+    def start(self, s_0: Tensor) -> Tensor:
+        """p_0 from s_0."""
+        return self.first(s_0)
+
+    def move(self, p: Tensor, s: Tensor, s_next: Tensor) -> Tensor:  # noqa: ARG002
+        """p_{t+1} from p_t and s_t."""
+        return p + self.increment(s)
+
+
+class PointOutput(nn.Module):
+    """Positions alone: p = (x, y)."""
+
+    def forward(self, p_BNP: Tensor) -> tuple[Tensor, None]:
+        """Positions, and no covariances."""
+        return pixels(p_BNP[..., :2]), None
+
+
+class GaussianOutput(nn.Module):
+    """Bivariate Gaussian: p = (x, y, beta_1, beta_2, theta) (paper, section 3.3).
+
+    Sigma = R(theta)^T diag(l_1, l_2) R(theta) with eigenvalues l_i = L sigmoid(beta_i) + 0.01; the
+    paper's largest, L, is 100 px^2.
+    """
+
+    def __init__(self, largest_px2: float = LARGEST_VARIANCE_PX2) -> None:
+        super().__init__()
+        self.largest_px2 = largest_px2
+
+    def forward(self, p_BNP: Tensor) -> tuple[Tensor, Tensor]:
+        """Positions and covariances."""
+        eigenvalues = self.largest_px2 * torch.sigmoid(p_BNP[..., 2:4]) + SMALLEST_VARIANCE_PX2
+        cos, sin = torch.cos(p_BNP[..., 4]), torch.sin(p_BNP[..., 4])
+        one, two = eigenvalues[..., 0], eigenvalues[..., 1]
+        xx = one * cos * cos + two * sin * sin
+        yy = one * sin * sin + two * cos * cos
+        xy = (two - one) * sin * cos
+        covariance = torch.stack([xx, xy, xy, yy], dim=-1).unflatten(-1, (2, 2))
+        return pixels(p_BNP[..., :2]), covariance
+
+
+class Head(NamedTuple):
+    """What tells one variant from another: how positions come from the states.
+
+    ``final`` reads the position in the final frame from s_0, for networks that see that frame.
+    """
+
+    motion: Motion
+    output: nn.Module
+    final: nn.Module | None = None
+
+
+def pixels(position: Tensor) -> Tensor:
+    """Network units to 128-pixel units."""
+    return PIXEL_UNIT + PIXEL_UNIT * position
+
+
+def logit_of_variance(variance_px2: float, largest_px2: float = LARGEST_VARIANCE_PX2) -> float:
+    """Return the beta whose eigenvalue is ``variance_px2``."""
+    share = (variance_px2 - SMALLEST_VARIANCE_PX2) / largest_px2
+    return math.log(share / (1 - share))
+
+
+class Network(nn.Module, ABC):
+    """A recurrent network: frames to a state, state to state, state to an observation."""
+
+    @abstractmethod
+    def start(self, frames_BKHW3: Tensor) -> State:
+        """h_0 from the seen frames."""
+
+    @abstractmethod
+    def advance(self, state: State) -> State:
+        """h_{t+1} from h_t."""
+
+    @abstractmethod
+    def observe(self, state: State) -> Observation:
+        """Observation y_t of a state."""
+
+    def observe_first(self, state: State) -> Observation:
+        """Observation of h_0, which may say more than later ones do."""
+        return self.observe(state)
+
+    def forward(self, frames_BKHW3: Tensor, horizon: int) -> Observation:
+        """Observations of the steps 0..horizon-1, stacked after the objects' axis."""
+        return self.roll_out(self.start(frames_BKHW3), horizon)
+
+    def roll_out(self, state: State, horizon: int) -> Observation:
+        """Observations of the steps 0..horizon-1 from the first state on."""
+        steps = [self.observe_first(state)]
+        for _ in range(horizon - 1):
+            state = self.advance(state)
+            steps.append(self.observe(state))
+        return stacked(steps)
+
+
+class Predictor(Network):
+    """Encoder x transition x head x angular velocity.
+
+    Parameters
+    ----------
+    encoder
+        Frames uint8 [B, K, 128, 128, 3] to s_0 [B, N, C, 8, 8].
+    transition
+        s_t to s_{t+1}.
+    head
+        Start and move of p_t; p_t to positions and covariances.
+    spin
+        s_t to angular velocities in units of 20 rad/s, or None ("w/o ang. vel.").
+    """
+
+    def __init__(
+        self,
+        encoder: nn.Module,
+        transition: nn.Module,
+        head: Head,
+        spin: nn.Module | None,
+    ) -> None:
+        super().__init__()
+        self.encoder = encoder
+        self.transition = transition
+        self.motion, self.output, self.final = head
+        self.spin = spin
+
+    def start(self, frames_BKHW3: Tensor) -> State:
+        """h_0 from the seen frames."""
+        s = self.encoder(frames_BKHW3)
+        return State(s, self.motion.start(s))
+
+    def advance(self, state: State) -> State:
+        """h_{t+1} from h_t."""
+        s_next = self.transition(state.s)
+        return State(s_next, self.motion.move(state.p, state.s, s_next))
+
+    def observe(self, state: State) -> Observation:
+        """Observation y_t of a state."""
+        positions, covariances = self.output(state.p)
+        return Observation(positions, covariances, self.angular_velocity(state.s))
+
+    def observe_first(self, state: State) -> Observation:
+        """Observation (y_0, y_final) of h_0 (paper, section 5.2, interpolation)."""
+        return self.observe(state)._replace(final_positions=self.final_position(state.s))
+
+    def final_position(self, s_0: Tensor) -> Tensor | None:
+        """Position in the final frame, or None for a network that does not see it."""
+        return None if self.final is None else pixels(self.final(s_0))
+
+    def angular_velocity(self, s: Tensor) -> Tensor | None:
+        """Angular velocity in rad/s, or None."""
+        return None if self.spin is None else ANGULAR_VELOCITY_UNIT * self.spin(s)
+
+
+class Family(nn.Module):
+    """Networks that are trained together.
+
+    Parameters
+    ----------
+    members
+        Networks by name.
+    """
+
+    def __init__(self, members: Mapping[str, Network]) -> None:
+        super().__init__()
+        self.members = nn.ModuleDict(dict(members))
+
+    def networks(self) -> dict[str, Network]:
+        """Return the members by name."""
+        return {n: one for n, one in self.members.items() if isinstance(one, Network)}
+
+    def shared_parameters(self) -> list[nn.Parameter]:
+        """Return the parameters that all members share: none."""
+        return []
+
+    def forward(self, frames_BKHW3: Tensor, horizon: int) -> dict[str, Observation]:
+        """Observations of the steps 0..horizon-1 of every member."""
+        return {name: member(frames_BKHW3, horizon) for name, member in self.networks().items()}
+
+
+class EyedFamily(Family, ABC):
+    """Networks that can begin without frames: with what their eye read before, or the truth."""
+
+    @abstractmethod
+    def sight(self, frames_BKHW3: Tensor) -> Sight:
+        """Return what the eye reads of the frames."""
+
+    @abstractmethod
+    def practise(self, sight: Sight, horizon: int) -> dict[str, Observation]:
+        """Observations of the steps 0..horizon-1 of every member."""
+
+
+class SharedStateFamily(Family):
+    """Predictors that share encoder, transition and spin read-out, rolled out together.
+
+    The distributed state is by far the larger part of the work and is the same for all of them, so
+    all are trained for little more than the price of one.
+
+    Parameters
+    ----------
+    members
+        Predictors by name, made of the same encoder, transition and spin modules.
+    """
+
+    def __init__(self, members: Mapping[str, Predictor]) -> None:
+        super().__init__(members)
+        first = next(iter(members.values()))
+        if any(
+            (member.encoder, member.transition, member.spin)
+            != (first.encoder, first.transition, first.spin)
+            for member in members.values()
+        ):
+            raise ValueError("the members of a family share encoder, transition and spin read-out")
+
+    def predictors(self) -> dict[str, Predictor]:
+        """Return the members by name."""
+        return {n: one for n, one in self.networks().items() if isinstance(one, Predictor)}
+
+    def shared_parameters(self) -> list[nn.Parameter]:
+        """Return what all members share: parameters of encoder, transition and spin read-out."""
+        first = next(iter(self.predictors().values()))
+        parts = (first.encoder, first.transition, first.spin)
+        return [p for part in parts if part is not None for p in part.parameters()]
+
+    def forward(self, frames_BKHW3: Tensor, horizon: int) -> dict[str, Observation]:
+        """Observations of the steps 0..horizon-1 of every member."""
+        return self.roll_out(next(iter(self.predictors().values())).encoder(frames_BKHW3), horizon)
+
+    def roll_out(self, s: Tensor, horizon: int) -> dict[str, Observation]:
+        """Observations of the steps 0..horizon-1 of every member, from s_0."""
+        members = self.predictors()
+        shared = next(iter(members.values()))
+        motions = {name: member.motion.start(s) for name, member in members.items()}
+        steps: dict[str, list[Observation]] = {name: [] for name in members}
+        finals = {name: member.final_position(s) for name, member in members.items()}
+        for step in range(horizon):
+            if step > 0:
+                s_next = shared.transition(s)
+                for name, member in members.items():
+                    motions[name] = member.motion.move(motions[name], s, s_next)
+                s = s_next
+            spin = shared.angular_velocity(s)
+            for name, member in members.items():
+                positions, covariances = member.output(motions[name])
+                steps[name].append(Observation(positions, covariances, spin, finals[name]))
+        return {name: stacked(observed) for name, observed in steps.items()}
+
+
+def in_float32(observation: Observation) -> Observation:
+    """Return an observation whose tensors are float32, for a loss under autocast."""
+    covariances, spin, final = observation[1:4]
+    return Observation(
+        observation.positions.float(),
+        None if covariances is None else covariances.float(),
+        None if spin is None else spin.float(),
+        None if final is None else final.float(),
+        observation.reading,
+    )
+
+
+def stacked(steps: Sequence[Observation]) -> Observation:
+    """Stack the steps' observations after the objects' axis."""
+    return Observation(
+        torch.stack([step.positions for step in steps], dim=2),
+        _stacked([step.covariances for step in steps]),
+        _stacked([step.angular_velocities for step in steps]),
+        steps[0].final_positions,
+        steps[0].reading,
+    )
+
+
+def _stacked(steps: Sequence[Tensor | None]) -> Tensor | None:
+    """Stack an output's steps; None when the network has no such output."""
+    present = [step for step in steps if step is not None]
+    return torch.stack(present, dim=2) if present else None

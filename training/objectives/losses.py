@@ -1,0 +1,303 @@
+"""Losses over a rollout; the paper's and what the compact preset uses instead.
+
+The loss of a network is that of its positions plus that of its angular velocities (paper, section
+5.1). What is NaN in the truth is not known, and costs nothing.
+"""
+
+import math
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from rollcast.trajectory import OBSERVED_FRAMES
+from training.networks.blocks import PIXEL_UNIT
+from training.networks.perception import PATCH_HALF_WIDTH, ZOOM_MARGIN, sampled
+from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Observation, Reading
+
+
+class Loss(Protocol):
+    """A scalar to minimise: how far a forecast's positions are from the truth of its steps."""
+
+    def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
+        """Loss of a forecast."""
+        ...
+
+
+def step_weights(horizon: int, halving: float) -> Tensor:
+    """Weights 1 / (1 + t / halving) with mean 1.
+
+    A plain mean is ruled by the late steps' large errors and loses the precision of the early
+    ones (docs/experiments.md).
+    """
+    weights = 1 / (1 + torch.arange(horizon) / halving)
+    return weights / weights.mean()
+
+
+class DistanceLoss:
+    """Weighted mean distance in pixels, rounded off within ``rounding`` px.
+
+    Parameters
+    ----------
+    halving
+        Step at which the weight is half of the first's.
+    """
+
+    def __init__(self, halving: float = 4.0, rounding: float = 0.5) -> None:
+        self._halving = halving
+        self._rounding = rounding
+
+    def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
+        """Loss of a forecast in pixels."""
+        weights = step_weights(positions_BNT2.shape[2], self._halving)
+        error = smooth_distance(_unlike(forecast.positions, positions_BNT2), self._rounding)
+        return (weights.to(error.device) * error).mean()
+
+
+class SquaredLoss:
+    """Mean squared distance in px^2 (paper, section 3.3)."""
+
+    def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
+        """Loss of a forecast in px^2."""
+        return (forecast.positions - positions_BNT2).square().sum(-1).mean()
+
+
+class LikelihoodLoss:
+    """Negative log likelihood with the paper's regulariser lambda det(Sigma).
+
+    Paper, sections 3.3 and 5.2; lambda = 0.01. Beyond ``outlier`` standard deviations it grows
+    linearly: one forecast that is far off and sure of itself would otherwise outweigh its whole
+    batch (docs/experiments.md).
+    """
+
+    def __init__(self, halving: float, regulariser: float = 0.01, outlier: float = 3.0) -> None:
+        self._halving = halving
+        self._regulariser = regulariser
+        self._outlier = outlier
+
+    def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
+        """Loss of a forecast, which has covariances, in nats up to a constant."""
+        assert forecast.covariances is not None
+        weights = step_weights(positions_BNT2.shape[2], self._halving)
+        known = ~positions_BNT2.isnan().any(dim=-1)
+        truth = torch.where(positions_BNT2.isnan(), forecast.positions.detach(), positions_BNT2)
+        squared = mahalanobis(forecast.positions, forecast.covariances, truth)
+        limit = self._outlier
+        linear = 2 * limit * squared.clamp(min=limit**2).sqrt() - limit**2
+        bounded = torch.where(squared < limit**2, squared, linear)
+        nll = 0.5 * (bounded + determinant(forecast.covariances).log())
+        penalty = self._regulariser * determinant(forecast.covariances)
+        return (weights.to(nll.device) * known * (nll + penalty)).mean()
+
+
+class SpinLoss:
+    """Weighted mean angular velocity error; zero for a network without angular velocity.
+
+    Parameters
+    ----------
+    halving
+        Step at which the weight is half of the first's.
+    weight
+        Pixels that an error of 1 rad/s counts for; errors count relative to the speed itself
+        beyond 20 rad/s, where small balls spin.
+    squared
+        Plain squared errors instead, as in the paper.
+    """
+
+    def __init__(
+        self,
+        halving: float = 4.0,
+        weight: float = 0.3,
+        rounding: float = 0.5,
+        *,
+        squared: bool = False,
+    ) -> None:
+        self._halving = halving
+        self._weight = weight
+        self._rounding = rounding
+        self._squared = squared
+
+    def __call__(self, forecast: Observation, angular_velocities_BNT3: Tensor) -> Tensor:
+        """Loss of a forecast in pixels."""
+        truth = angular_velocities_BNT3
+        if forecast.angular_velocities is None:
+            return torch.zeros((), device=truth.device)
+        weights = step_weights(truth.shape[2], self._halving).to(truth.device)
+        if self._squared:
+            error = (forecast.angular_velocities - truth).square().sum(-1)
+            return self._weight * (weights * error).mean()
+        scale = 1 + truth.nan_to_num().norm(dim=-1) / ANGULAR_VELOCITY_UNIT
+        off = _unlike(forecast.angular_velocities, truth)
+        error = smooth_distance(off, self._rounding) / scale
+        return self._weight * (weights * error).mean()
+
+
+class DoubtLoss:
+    """Distances for the positions, likelihood for the covariances alone.
+
+    The likelihood takes the positions as they are, so uncertainty costs them nothing.
+    """
+
+    def __init__(self, positions: Loss, likelihood: Loss, weight: float) -> None:
+        self._positions = positions
+        self._likelihood = likelihood
+        self._weight = weight
+
+    def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
+        """Loss of a forecast in pixels, and nats times the weight."""
+        settled = forecast._replace(positions=forecast.positions.detach())
+        doubt = self._weight * self._likelihood(settled, positions_BNT2)
+        return self._positions(forecast, positions_BNT2) + doubt
+
+
+class ReadingLoss:
+    """What an eye read of the frames against the truth: pixels, weighed by what forecasts need.
+
+    Closer looks weigh more than the first, velocities most: their errors grow with every step. What
+    is NaN in the truth is not known, and costs nothing: of footage there are only places.
+
+    Parameters
+    ----------
+    within_reach
+        Whether a closer look is judged only where the look before it left the ball in its patch:
+        what it says of patches without a ball is noise.
+    """
+
+    looks = (0.3, 0.5, 1.5, 1.5)
+    """The first look's, the closer looks' and, where there is one, the zoomed look's."""
+    displacement = 1.5
+    """Of what lies between two seen frames, by the last look: errors that all frames share do not
+    matter to it."""
+    radius = 2.0
+    height = 0.5
+    velocity = 3.0
+    ground = 15.0
+    way = 30.0
+    measures = 2.0
+    rounding = 0.1
+
+    def __init__(self, *, within_reach: bool = False) -> None:
+        self._within_reach = within_reach
+
+    def __call__(
+        self,
+        reading: Reading,
+        scene_targets: tuple[Tensor, Tensor, Tensor],
+        shake_BK2: Tensor | None = None,
+        radii_BN: Tensor | None = None,
+    ) -> Tensor:
+        """Loss of a reading against the fields of :class:`training.data.windows.SceneTargets`.
+
+        Parameters
+        ----------
+        shake_BK2
+            Shift of the picture in the seen frames, halves of the frame: it moves what is seen, not
+            the ball.
+        radii_BN
+            Of the balls in the picture, halves of the frame.
+        """
+        centres, ground, measures = scene_targets
+        seen, now = centres[:, :, :OBSERVED_FRAMES, :2], centres[:, :, OBSERVED_FRAMES - 1]
+        if shake_BK2 is not None:
+            seen = seen + shake_BK2[:, None]
+        before = centres[:, :, OBSERVED_FRAMES - 2]
+        judged = self._judged(reading, seen)
+        found = judged[-1].amin(dim=2)
+        off = _unlike(reading.centres, now)
+        loss = self._pixels(off[..., :2], found)
+        loss = loss + self.height * PIXEL_UNIT * (found * off[..., 2].abs()).mean()
+        looks = zip(self.looks, reading.seen_positions, judged, strict=False)
+        for weight, positions, share in looks:
+            loss = loss + weight * self._pixels(positions - seen, share)
+        moved = reading.seen_positions[-1].diff(dim=2) - seen.diff(dim=2)
+        loss = loss + self.displacement * self._pixels(moved, found[..., None])
+        if reading.radii is not None and radii_BN is not None:
+            unlike = _unlike(reading.radii.log(), radii_BN.log())
+            loss = loss + self.radius * (found * unlike.abs()).mean()
+        off = _unlike(reading.velocities, now - before)
+        loss = loss + self.velocity * self._pixels(off, found)
+        unlike = _unlike(reading.ground, ground).abs()
+        loss = loss + self.ground * unlike.sum(dim=1).mean()
+        loss = loss + self.way * self._along_the_way(reading.ground, ground, centres)
+        return loss + self.measures * _unlike(reading.measures, measures).abs().mean()
+
+    def _along_the_way(self, read: Tensor, ground: Tensor, centres: Tensor) -> Tensor:
+        """Mean error of the ground where the balls will be: more than elsewhere depends on it."""
+        known = (~ground.isnan()).float()
+        points = centres[..., :2].nan_to_num()
+        unlike = sampled(read, points) - sampled(ground.nan_to_num(), points)
+        return (unlike.abs() * (sampled(known, points) > 0.999)).sum(dim=-1).mean()
+
+    def _judged(self, reading: Reading, seen: Tensor) -> list[Tensor]:
+        """Return, for every look, where it is judged: 1 or 0 [B, N, K]."""
+        looks = [positions.detach() for positions in reading.seen_positions]
+        everywhere = torch.ones_like(looks[0][..., 0])
+        if not self._within_reach:
+            return [everywhere] * len(looks)
+        off = [(positions - seen).abs().amax(dim=-1) for positions in looks]
+        judged = [everywhere, *((before < PATCH_HALF_WIDTH).float() for before in off[:2])]
+        if len(looks) > len(judged):
+            assert reading.radii is not None
+            reach = reading.radii.detach()[..., None] + ZOOM_MARGIN
+            judged.append(judged[-1] * (off[2] < reach))
+        return judged
+
+    def _pixels(self, difference: Tensor, share: Tensor | None = None) -> Tensor:
+        distance = smooth_distance(PIXEL_UNIT * difference, self.rounding)
+        return (distance if share is None else share * distance).mean()
+
+
+class MotionLoss:
+    """Balls moved from their true states: centres in pixels, and how they move.
+
+    Parameters
+    ----------
+    halving
+        Step at which the weight is half of the first's.
+    """
+
+    rounding = 0.1
+
+    def __init__(self, halving: float) -> None:
+        self._halving = halving
+
+    def __call__(self, centres_BNT3: Tensor, truth_BNT3: Tensor) -> Tensor:
+        """Loss of rolled-out centres, halves of the frame."""
+        weights = step_weights(truth_BNT3.shape[2], self._halving).to(truth_BNT3.device)
+        off = PIXEL_UNIT * (centres_BNT3 - truth_BNT3)
+        moved = (off[:, :, 1:] - off[:, :, :-1]).norm(dim=-1)
+        return (weights * smooth_distance(off, self.rounding)).mean() + moved.mean()
+
+
+def final_loss(forecast: Observation, final_positions_BN2: Tensor) -> Tensor:
+    """Mean distance in pixels between what h_0 says of the final frame and the truth."""
+    assert forecast.final_positions is not None
+    return smooth_distance(forecast.final_positions - final_positions_BN2, 0.5).mean()
+
+
+def _unlike(read: Tensor, truth: Tensor) -> Tensor:
+    """Difference, zero where the truth is not known."""
+    return torch.where(truth.isnan(), 0.0, read - truth.nan_to_num())
+
+
+def smooth_distance(difference: Tensor, rounding: float) -> Tensor:
+    """Euclidean distance over the last axis, smooth at zero."""
+    return (difference.square().sum(-1) + rounding**2).sqrt() - rounding
+
+
+def negative_log_likelihood(positions: Tensor, covariances: Tensor, truth: Tensor) -> Tensor:
+    """-log N(truth; positions, covariances) in nats, over the last axes [2] and [2, 2]."""
+    squared = mahalanobis(positions, covariances, truth)
+    return 0.5 * (squared + determinant(covariances).log()) + math.log(2 * math.pi)
+
+
+def mahalanobis(positions: Tensor, covariances: Tensor, truth: Tensor) -> Tensor:
+    """Return squared Mahalanobis distances over the last axes [2] and [2, 2]."""
+    dx, dy = (truth - positions).unbind(-1)
+    xx, xy, yy = covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
+    return (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / determinant(covariances)
+
+
+def determinant(covariances: Tensor) -> Tensor:
+    """Return the determinants of 2 x 2 matrices."""
+    return covariances[..., 0, 0] * covariances[..., 1, 1] - covariances[..., 0, 1].square()

@@ -1,0 +1,1 @@
+"""Campaigns of trainings, on one machine or on Ray."""
