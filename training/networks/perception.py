@@ -164,7 +164,8 @@ class CloserLook(nn.Module):
     Parameters
     ----------
     features
-        Numbers that say what else the patches show: how the ball turns, where it is hidden.
+        Numbers that say what else the patches show: how the ball turns, where it is hidden. There
+        may be none.
     """
 
     grid: Tensor
@@ -186,7 +187,7 @@ class CloserLook(nn.Module):
             nn.ReLU(),
         )
         self.correction = nn.Linear(256, 2 * OBSERVED_FRAMES)
-        self.features = nn.Linear(256, features)
+        self.features = nn.Linear(256, features) if features else None
         nn.init.zeros_(self.correction.weight)
         nn.init.zeros_(self.correction.bias)
         grid = PATCH_HALF_WIDTH * cell_centres(PATCH).permute(1, 2, 0)
@@ -221,7 +222,10 @@ class CloserLook(nn.Module):
         correction = self.correction(seen).float().reshape(batch, objects, frames, 2)
         if zoom_BN is not None:
             correction = correction * zoom_BN[..., None, None]
-        return centres + correction, self.features(seen).float().reshape(batch, objects, -1)
+        corrected = centres + correction
+        if self.features is None:
+            return corrected, correction.new_zeros(batch, objects, 0)
+        return corrected, self.features(seen).float().reshape(batch, objects, -1)
 
 
 class ZoomedLook(nn.Module):
@@ -232,7 +236,7 @@ class ZoomedLook(nn.Module):
         self.size = nn.Linear(FEATURES, 1)
         nn.init.zeros_(self.size.weight)
         nn.init.zeros_(self.size.bias)
-        self.look = CloserLook(FEATURES)
+        self.look = CloserLook(0)
 
     def forward(
         self, images_BK3HW: Tensor, around_BNK2: Tensor, features_BNF: Tensor

@@ -83,3 +83,12 @@ def test_it_is_a_preset_of_its_own():
     assert network.eye.zoomed is not None
     with pytest.raises(ValueError, match="fieldnet alone"):
         PRESETS["zoomed"]({"posnet": "posnet"}, Task())
+
+
+def test_every_parameter_of_it_is_used():
+    """An unused one would be missing in an exported graph."""
+    torch.manual_seed(3)
+    eye = Eye(1, ZoomedLook())
+    looks, *read = eye(FRAMES)
+    sum(part.square().sum() for part in (*looks, *read)).backward()
+    assert all(parameter.grad is not None for parameter in eye.parameters())
