@@ -1,7 +1,7 @@
 # The service with its models, without torch.
 #
 #   docker build -f docker/service.Dockerfile -t rollcast-service .
-#   docker run --read-only --tmpfs /tmp -e ROLLCAST_ANONYMOUS=true -p 127.0.0.1:8000:8000 rollcast-service
+#   docker run --read-only --tmpfs /tmp -e ROLLCAST_ALLOW_UNAUTHENTICATED=true -p 127.0.0.1:8000:8000 rollcast-service
 #
 # It wants API keys (-v ./keys.json:/keys.json:ro -e ROLLCAST_KEYS_FILE=/keys.json) or, as above where
 # nobody else reaches its port, to be told that everybody may ask.

@@ -33,10 +33,11 @@ from docs.drawing import (
 from docs.physics import contact, energy
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.plot import PALETTE, draw_forecast
+from rollcast.rollout import roll_out
 from rollcast.scene import SCENARIOS, Scenario
 from rollcast.simulation import Sequence, Simulator
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
-from service.inference.rollout import Predictor, assemble, roll_out
+from service.inference.rollout import Predictor, assemble
 from service.serving.loading import load_registry
 from service.serving.registry import ModelQuery
 from training.data.rest_height_map import resting_ground

@@ -6,7 +6,7 @@ become Markdown. Nothing that this writes is committed (``docs/generated``).
 
 import json
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import rollcast.scene
 import rollcast.schemas
 import service.http.oip.schemas
 from rollcast.__main__ import app as commands_app
+from rollcast.markdown import table
 from rollcast.schemas import StreamDone, StreamStep
 from service.errors import ServiceError
 from service.settings import PREFIX, Settings
@@ -87,7 +88,7 @@ def settings() -> str:
         (f"`{PREFIX}{name.upper()}`", _default(field), _one_line(field.description or ""))
         for name, field in Settings.model_fields.items()
     ]
-    return _table(("variable", "default", "meaning"), rows)
+    return table(("variable", "default", "meaning"), rows)
 
 
 def _default(field: Any) -> str:  # noqa: ANN401
@@ -104,7 +105,7 @@ def problems() -> str:
         (f"`/problems/{kind.slug}`", kind.status, kind.title, _one_line(kind.__doc__ or ""))
         for kind in kinds
     ]
-    return _table(("type", "status", "title", "when"), rows)
+    return table(("type", "status", "title", "when"), rows)
 
 
 def _heirs(kind: type[ServiceError]) -> Iterator[type[ServiceError]]:
@@ -169,7 +170,7 @@ def _operation(method: str, path: str, operation: Json) -> str:
             content = _contents(response.get("content", {})) or response["description"]
             answers.setdefault(content, []).append(status)
     rows += [(", ".join(statuses), content) for content, statuses in answers.items()]
-    lines += [_table(("", "what"), rows), ""]
+    lines += [table(("", "what"), rows), ""]
     return "\n".join(lines)
 
 
@@ -245,9 +246,9 @@ def _schema(name: str, schema: Json, docs: Docs) -> str:
     ]
     lines = [f"({_label(name)})=", f"### {name}", "", _one_line(schema.get("description", "")), ""]
     if rows and not any(meaning for *_, meaning in rows):
-        lines += [_table(("field", "type"), [row[:2] for row in rows]), ""]
+        lines += [table(("field", "type"), [row[:2] for row in rows]), ""]
     elif rows:
-        lines += [_table(("field", "type", "meaning"), rows), ""]
+        lines += [table(("field", "type", "meaning"), rows), ""]
     return "\n".join(lines)
 
 
@@ -342,7 +343,7 @@ def cards(models: Path) -> dict[str, str]:
         "model", "variant", "balls", "frames", "trained horizon", "covariance", "default", "MB",
     )  # fmt: skip
     hidden = "\n".join(["```{toctree}", ":hidden:", "", *(n[:-3] for n in pages), "```", ""])
-    return {**pages, "models.md": f"# Model cards\n\n{_LEAD}\n\n{_table(head, rows)}\n\n{hidden}"}
+    return {**pages, "models.md": f"# Model cards\n\n{_LEAD}\n\n{table(head, rows)}\n\n{hidden}"}
 
 
 _LEAD = (
@@ -350,15 +351,6 @@ _LEAD = (
     "training never saw, and where its uncertainty comes from. A bare name means the default "
     "version. [What the variants are](../guide/networks.md), and [how they compare](../results.md)."
 )
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(_cell(cell) for cell in line)} |" for line in lines)
-
-
-def _cell(value: object) -> str:
-    return str(value).replace("|", "\\|")
 
 
 def _one_line(text: str) -> str:

@@ -6,6 +6,8 @@ interrupted.
 
 import os
 import sys
+import tempfile
+import traceback
 from collections.abc import Sequence
 from functools import partial
 from typing import Annotated
@@ -89,12 +91,9 @@ def main(arguments: Sequence[str] | None = None, connect: Connect = Client) -> i
             return _stopped(outcome)
         for warning in outcome.warnings:
             print(f"rollcast: warning: {warning}", file=sys.stderr)
-        print(outcome.text)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # The reader, `head` for example, has seen enough; Python would complain of it at its end.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        _print(outcome.text)
+        if outcome.finish is not None:
+            outcome.finish()
     except typer.TyperException as error:
         command = getattr(getattr(error, "ctx", None), "command_path", NAME)
         return _failed(f"{error.format_message()} ({command} --help tells more)", USAGE)
@@ -102,7 +101,31 @@ def main(arguments: Sequence[str] | None = None, connect: Connect = Client) -> i
         return _failed(f"{error}; is the service running (make serve)?")
     except (RollcastError, CommandError, OSError) as error:
         return _failed(str(error))
+    except KeyboardInterrupt:
+        return _stopped(INTERRUPTED)
+    except Exception as error:
+        return _failed(_unexpected(error))
     return outcome.code
+
+
+def _print(text: str) -> None:
+    """Print a result; what the terminal's encoding lacks is escaped."""
+    encoding = sys.stdout.encoding or "utf-8"
+    try:
+        print(text.encode(encoding, "backslashreplace").decode(encoding))
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader, `head` for example, has seen enough; Python would complain of it at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _unexpected(error: Exception) -> str:
+    """Write the traceback of a fault of ours to a file, and return a line that names it."""
+    with tempfile.NamedTemporaryFile(
+        "w", prefix="rollcast-", suffix=".log", delete=False, encoding="utf-8", errors="replace"
+    ) as file:
+        file.writelines(traceback.format_exception(error))
+    return f"unexpected {type(error).__name__}: {error}; this is a bug, details are in {file.name}"
 
 
 def _stopped(code: int | None) -> int:

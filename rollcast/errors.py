@@ -5,6 +5,8 @@
   x SceneRejectedError        no acceptable scene comes out of a seed and its parameters
   x FootageError              a video or image file cannot be read as asked
     + CropError               a crop does not lie inside the picture
+    + FootageEndedError       footage ends before a time that is asked for
+    + FrameError              a picture cannot be converted to a frame
   x MissingExtraError         a package is not installed that one of the extras brings
   x ClientError               a call through ``rollcast.client`` failed
     + InvalidArgumentError    an argument or environment variable cannot be used; nothing was sent
@@ -62,6 +64,14 @@ class FootageError(RollcastError):
 
 class CropError(FootageError):
     """A crop does not lie inside the picture."""
+
+
+class FootageEndedError(FootageError):
+    """Footage ends before a time that is asked for."""
+
+
+class FrameError(FootageError, ValueError):
+    """A picture is damaged, or its shape or values cannot be converted to a frame."""
 
 
 class MissingExtraError(RollcastError, ImportError):

@@ -74,7 +74,7 @@ def gaussian_radius(share: float) -> float:
     return math.sqrt(-2 * math.log(1 - share))
 
 
-GAUSSIAN_HALF_RADIUS = gaussian_radius(0.5)
+GAUSSIAN_ELLIPSE50_RADIUS = gaussian_radius(0.5)
 
 
 class CovarianceSource(_Part):
@@ -86,7 +86,7 @@ class CovarianceSource(_Part):
     """Predicted: factor on the covariance of each step, the last one held beyond."""
     empirical: tuple[Matrix2, ...] | None = None
     """Empirical: covariance of the residuals at each step, the last one held beyond."""
-    half_radius: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    ellipse50_radius: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     """Radius, in standard deviations, of the ellipse that held half of the validation data at each
     step, the last one held beyond; None is a Gaussian's. Residuals with heavy tails need less."""
 
@@ -143,7 +143,7 @@ class Unfamiliar(_Part):
     test_windows: Annotated[int, Field(ge=1)]
 
 
-class Rig(_Part):
+class CameraSetup(_Part):
     """The set-up whose footage a model was trained on."""
 
     colors: tuple[BallColor, ...]
@@ -185,7 +185,7 @@ class Manifest(_Part):
     parity: Parity
     golden_tolerance: dict[OutputName, Positive]
     """Largest absolute difference from golden.npz at which the model is served."""
-    rig: Rig | None = None
+    setup: CameraSetup | None = None
     """Of models for footage, and of them alone."""
     unfamiliar: Unfamiliar | None = None
     """None without FAMILIARITY_FILE: such a model cannot tell."""
@@ -210,10 +210,10 @@ class Manifest(_Part):
             raise ValueError(f"final_step is {self.final_step} with {self.frames} frames")
         if set(self.files) - {EYE_FILE, FAMILIARITY_FILE} != set(HASHED_FILES):
             raise ValueError(f"files are {sorted(self.files)}, expected {sorted(HASHED_FILES)}")
-        if (self.rig is not None) != ("footage" in self.scenarios):
-            raise ValueError(f"rig belongs to footage, the scenarios are {self.scenarios}")
+        if (self.setup is not None) != ("footage" in self.scenarios):
+            raise ValueError(f"setup belongs to footage, the scenarios are {self.scenarios}")
         if len(self.colors) != self.objects:
-            raise ValueError(f"rig has {len(self.colors)} colors for {self.objects} objects")
+            raise ValueError(f"setup has {len(self.colors)} colors for {self.objects} objects")
         if (self.unfamiliar is None) == (FAMILIARITY_FILE in self.files):
             raise ValueError(f"{FAMILIARITY_FILE} and unfamiliar belong together")
         if set(self.golden_tolerance) != wanted:
@@ -244,7 +244,7 @@ class Manifest(_Part):
     @property
     def colors(self) -> tuple[BallColor, ...]:
         """Of each ball, in the order of all outputs."""
-        return COLORS[: self.objects] if self.rig is None else self.rig.colors
+        return COLORS[: self.objects] if self.setup is None else self.setup.colors
 
     @property
     def output_names(self) -> tuple[OutputName, ...]:

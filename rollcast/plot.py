@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from rollcast.trajectory import STEP_TOLERANCE
+
 OVERVIEW_PX = 720
 PANEL_PX = OVERVIEW_PX // 2
 """Sides of the large picture and of the small ones beside it."""
@@ -92,7 +94,7 @@ def draw_forecast(
         When a frame is more than half a step later than the forecast's last step.
     """
     end_s = float(forecast.times_s[-1])
-    if times_s[-1] > end_s + 0.5 / forecast.frame_rate:
+    if times_s[-1] > end_s + STEP_TOLERANCE / forecast.frame_rate:
         raise ValueError(f"a frame of {times_s[-1]:.3f} s, the forecast ends at {end_s:.3f} s")
     return _sheet(
         frames, times_s, forecast, f"last frame seen, forecast to +{end_s:.2f} s", forecast

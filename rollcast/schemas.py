@@ -173,7 +173,7 @@ class PredictResponse(ForecastSummary):
     objects: list[ForecastObject]
     times_s: list[float]
     """Seconds after the last observed frame of each step."""
-    half_radii: list[float]
+    ellipse50_radii: list[float]
     """[horizon]: radius, in standard deviations of ``covariances``, of the ellipse that should hold
     the truth every second time; 1.18 of a Gaussian, less where the model's errors have heavy tails.
     The ellipse that should hold 95 % always has a Gaussian's radius, 2.45."""
@@ -197,8 +197,8 @@ class StreamStep(ResponseBody):
     step: int
     time_s: float
     """Seconds after the last observed frame."""
-    half_radius: float
-    """Of this step, as in ``PredictResponse.half_radii``."""
+    ellipse50_radius: float
+    """Of this step, as in ``PredictResponse.ellipse50_radii``."""
     objects: list[StreamObject]
 
 
@@ -386,7 +386,7 @@ class ModelMetrics(ResponseBody):
     """One row per split, scenario and horizon (``rollcast.manifest.MetricRow``)."""
 
 
-class ModelRig(ResponseBody):
+class ModelSetup(ResponseBody):
     """The set-up whose footage a model was trained on."""
 
     colors: list[BallColor]
@@ -402,7 +402,7 @@ class ModelEntry(ResponseBody):
     version: int
     default: bool = False
     """A bare NAME means this version."""
-    status: Literal["ready", "refused", "unloaded"]
+    status: Literal["ready", "invalid", "unloaded"]
     reason: str | None = None
     """Why it is not ready."""
     variant: str | None = None
@@ -411,7 +411,7 @@ class ModelEntry(ResponseBody):
     objects: int | None = None
     frame_rate_hz: float | None = None
     """Frames a second of what it was trained on."""
-    rig: ModelRig | None = None
+    setup: ModelSetup | None = None
     """The set-up that it was trained on, where its scenarios are ``footage``."""
     frames: int | None = None
     """Frames that it reads: 4, or 5 with a final frame."""

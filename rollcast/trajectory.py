@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 FRAME_RATE_HZ = 40
+STEP_TOLERANCE = 0.5
+"""Share of a step by which a frame may be off a forecast's last step and still be shown with it."""
 OBSERVED_FRAMES = 4
 """Frames that a forecast sees (T_0 in the paper)."""
 

@@ -1,40 +1,56 @@
 """Frames of a video file by presentation time (extra ``video``).
 
-Times are seconds after the video's first frame. Pictures are turned, and their pixels square, as
-players show them.
+Times are seconds after the video's first frame. Pictures are turned and mirrored, deinterlaced,
+and their pixels square, as players show them; colours are those that the file is tagged with, and
+BT.601 where it has no tag.
 """
 
 import math
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from itertools import chain, islice
+from functools import partial
+from itertools import count, islice, pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import av
 import numpy as np
 from av.container import InputContainer
 from av.error import FFmpegError
+from av.filter import Graph
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
-from rollcast.errors import FootageError
+from rollcast.errors import FootageEndedError, FootageError
 from rollcast.footage import (
-    RATE_TOLERANCE,
-    SNAP,
     Footage,
     SquareCrop,
+    TakenFrame,
     TimedFrame,
-    between,
-    from_moments,
+    rate_near,
+    read_at,
+    read_evenly,
+    usual_distance,
 )
+from rollcast.frames import require_regular_file, shown_path
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 
-LOOK_AHEAD = 8
-"""Frames after the first by which the distance between frames is measured."""
-TIME_TOLERANCE_S = 0.5 / FRAME_RATE_HZ
-"""How long after a video's last frame a time still counts as shown by it: half a step."""
+PROBED_FRAMES = 24
+"""Frames from the start that tell what a file's times are worth."""
+NO_TIMESTAMPS = 0x80
+"""FFmpeg's flag (AVFMT_NOTIMESTAMPS) of elementary streams: they hold pictures and no times."""
+DAMAGE_NAMED = 3
+"""Damaged places that a warning names; of more it gives the number."""
+COLORSPACES = {1: "ITU709", 4: "FCC", 7: "SMPTE240M"}
+"""Conversions by a file's tag (AVColorSpace); all other ones are BT.601's."""
+UNTAGGED, FULL_RANGE = 0, 2
+"""Tags (AVColorRange) of files that do not tell, and whose values span 0 to 255."""
+LAST_STAMP = 2**62
+"""Time stamp beyond which none is sought."""
+ROUNDING = 0.05
+"""Relative difference between a told rate and that of rounded time stamps."""
 
 
 class _Shown(NamedTuple):
@@ -44,6 +60,31 @@ class _Shown(NamedTuple):
     """Width of a stored pixel by its height, as players show it."""
 
 
+class _Probe(NamedTuple):
+    """What the first frames tell of a file."""
+
+    origin: int
+    """Time stamp of the first frame."""
+    time_base: float
+    """Seconds of the file by unit of its time stamps."""
+    scale: float
+    """Seconds of the camera by second of the file."""
+    interval_s: float | None
+    """Seconds between frames, where the file has no times."""
+    is_counted: bool
+    """Whether the k-th frame has the k-th time, since frames' own are missing or not ascending."""
+    is_interlaced: bool
+
+
+class _Damage(NamedTuple):
+    stamp: int | None
+    packet: int
+    """Its number."""
+
+
+_Timed: TypeAlias = tuple[float, VideoFrame]
+
+
 def read_frames(
     path: Path | str,
     *,
@@ -51,26 +92,18 @@ def read_frames(
     frames: int = OBSERVED_FRAMES,
     crop: SquareCrop | None = None,
     frame_rate: float = FRAME_RATE_HZ,
+    camera_hz: float | None = None,
 ) -> Footage:
-    """Read frames that follow each other evenly, from the frame nearest to a start.
-
-    Of a camera whose rate is a multiple of the one asked for, to RATE_TOLERANCE, every m-th frame
-    is taken, and the answer's ``frame_rate`` tells the truth. Where the camera took no frame
-    (another or a varying rate), one is blended from those before and after; the answer's
-    ``blended_over_s`` tells how far apart these are.
+    """Read frames that follow each other evenly (``rollcast.footage.read_evenly``).
 
     Parameters
     ----------
     path
         Any video that PyAV decodes.
-    start_s
-        Time of the first frame, seconds.
-    frames
-        How many, at least two.
-    crop
-        By default the largest square in the middle.
-    frame_rate
-        Frames a second that are asked for.
+    start_s, frames, crop, frame_rate
+        As for ``rollcast.footage.read_evenly``.
+    camera_hz
+        As for :class:`VideoFile`.
 
     Raises
     ------
@@ -79,22 +112,13 @@ def read_frames(
     CropError
         When the crop does not lie inside the picture.
     """
-    if frames < 2:
-        raise ValueError(f"frames is {frames}, expected at least 2")
-    with _opened(path) as container:
-        moments = _moments_from(container, path, start_s)
-        head = list(islice(moments, 2 + LOOK_AHEAD))
-        if len(head) > 1 and head[1].time_s - start_s < start_s - head[0].time_s:
-            head.pop(0)
-        spacing_s = _spacing([moment.time_s for moment in head], frame_rate)
-        wanted = [head[0].time_s + index * spacing_s for index in range(frames)]
-        taken = list(_between(chain(head, moments), wanted, SNAP * spacing_s))
-        if len(taken) < frames:
-            raise FootageError(
-                f"{path} ends before {wanted[-1]:.3f} s; {frames} frames from {start_s:g} s do not "
-                "fit"
-            )
-        return from_moments(taken, crop)
+    return read_evenly(
+        VideoFile(path, camera_hz=camera_hz),
+        start_s=start_s,
+        frames=frames,
+        crop=crop,
+        frame_rate=frame_rate,
+    )
 
 
 def camera_rate(path: Path | str, start_s: float = 0.0) -> float:
@@ -105,27 +129,29 @@ def camera_rate(path: Path | str, start_s: float = 0.0) -> float:
     FootageError
         When the file cannot be read as a video, or has no two frames there.
     """
-    with _opened(path) as container:
-        head = list(islice(_moments_from(container, path, start_s), 2 + LOOK_AHEAD))
-    if len(head) < 2:
-        raise FootageError(f"{path} has one frame from {start_s:g} s on")
-    return 1 / _distance([moment.time_s for moment in head])
+    return rate_near(VideoFile(path), start_s)
 
 
 def frames_at(
-    path: Path | str, times_s: Sequence[float], *, crop: SquareCrop | None = None
+    path: Path | str,
+    times_s: Sequence[float],
+    *,
+    crop: SquareCrop | None = None,
+    frame_rate: float = FRAME_RATE_HZ,
+    camera_hz: float | None = None,
 ) -> Footage:
-    """Read the frames nearest to some times; the answer holds their real times.
+    """Read the frames of some times, blended where there are none (``rollcast.footage.read_at``).
 
     Parameters
     ----------
     path
         Any video that PyAV decodes.
     times_s
-        Ascending, seconds. Those after the last frame are left out, and no frame comes twice, so
-        the answer may be shorter.
-    crop
-        By default the largest square in the middle.
+        Ascending, seconds. Those after the last frame are left out, so the answer may be shorter.
+    crop, frame_rate
+        As for ``rollcast.footage.read_at``.
+    camera_hz
+        As for :class:`VideoFile`.
 
     Raises
     ------
@@ -134,13 +160,8 @@ def frames_at(
     CropError
         When the crop does not lie inside the picture.
     """
-    with _opened(path) as container:
-        moments = _moments_from(container, path, times_s[0])
-        taken = list(_nearest(moments, times_s))
-        if not taken:
-            raise FootageError(f"{path} ends before {times_s[0]:.3f} s")
-        shown = [TimedFrame(_pixels(moment), moment.time_s) for moment in taken]
-        return from_moments(shown, crop)
+    source = VideoFile(path, camera_hz=camera_hz)
+    return read_at(source, times_s, crop=crop, frame_rate=frame_rate)
 
 
 def every_frame(path: Path | str) -> Iterator[TimedFrame]:
@@ -151,122 +172,327 @@ def every_frame(path: Path | str) -> Iterator[TimedFrame]:
     FootageError
         When the file cannot be read as a video.
     """
-    with _opened(path) as container:
-        for shown in _moments_from(container, path, 0.0):
-            yield TimedFrame(_pixels(shown), shown.time_s)
+    for taken in VideoFile(path).frames():
+        yield TimedFrame(taken.load(), taken.time_s)
+
+
+class VideoFile:
+    """A video as a source of frames (``rollcast.footage.FrameSource``).
+
+    Parameters
+    ----------
+    path
+        Any video that PyAV decodes.
+    camera_hz
+        Frames a second that the camera took, where the file does not tell (an elementary stream)
+        or is slow motion, stored at another rate. All times are the camera's then.
+
+    Raises
+    ------
+    FootageError
+        When the file cannot be read as a video, or its times are not known.
+    """
+
+    def __init__(self, path: Path | str, *, camera_hz: float | None = None) -> None:
+        self._path = path
+        self.name = shown_path(path)
+        self._damage: set[_Damage] = set()
+        with _opened(path) as container:
+            self._probe = self._probed(container, camera_hz)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Faults met so far, a sentence each."""
+        told: list[str] = []
+        if self._probe.is_interlaced:
+            told.append(
+                f"{self.name} is interlaced: each frame holds two half pictures and was "
+                "deinterlaced, so fast movement is less exact"
+            )
+        if self._damage:
+            places = sorted({f"{self._time_of(damage):.3f} s" for damage in self._damage})
+            more = len(places) - DAMAGE_NAMED
+            told.append(
+                f"{self.name} is damaged at {', '.join(places[:DAMAGE_NAMED])}"
+                f"{f' and {more} more places' if more > 0 else ''}: frames are missing there, and "
+                "the next ones may show traces"
+            )
+        return told
+
+    def frames(self, start_s: float = 0.0) -> Iterator[TakenFrame]:
+        """Yield the frames from the last one at or before a time on, at ascending times.
+
+        Those of another size than the first raise FootageError when they are loaded.
+
+        Raises
+        ------
+        FootageError
+            When the file cannot be read on.
+        """
+        size: tuple[int, int] | None = None
+        for shown in self._shown_from(start_s):
+            stored = (shown.picture.width, shown.picture.height)
+            size = stored if size is None else size
+            if size != stored:
+                told = (
+                    f"{self.name}: the picture changes from {size[0]} x {size[1]} to "
+                    f"{stored[0]} x {stored[1]} at {shown.time_s:.3f} s; cut the video there and "
+                    "read one part"
+                )
+                yield TakenFrame(shown.time_s, partial(_refuse, told))
+            else:
+                yield TakenFrame(shown.time_s, partial(_pixels, shown, self.name))
+
+    def _shown_from(self, start_s: float) -> Iterator[_Shown]:
+        with _opened(self._path) as container:
+            stream = _video_stream(container, self.name)
+            is_sought = self._seek(container, stream, start_s)
+            shown = self._shown(container, stream)
+            before = next(shown, None)
+            if is_sought and (before is None or before.time_s > start_s):  # a poor index
+                container.seek(self._probe.origin, stream=stream)
+                shown = self._shown(container, stream)
+                before = next(shown, None)
+            for moment in shown:
+                if before is not None and moment.time_s > start_s:
+                    yield before
+                before = moment
+            if before is not None:
+                yield before
+
+    def _seek(self, container: InputContainer, stream: VideoStream, start_s: float) -> bool:
+        """Go to the last key frame at or before a time; False where all of it is decoded."""
+        if start_s <= 0 or self._probe.is_counted or stream.time_base is None:
+            return False
+        stamp = self._probe.origin + start_s / self._probe.scale / float(stream.time_base)
+        if stamp >= LAST_STAMP:
+            raise FootageEndedError(f"{self.name} ends before {start_s:g} s")
+        with suppress(FFmpegError):  # where a container cannot seek
+            container.seek(int(stamp), stream=stream)
+            return True
+        return False
+
+    def _shown(self, container: InputContainer, stream: VideoStream) -> Iterator[_Shown]:
+        """Decode in the order of presentation."""
+        # Zero or nothing means that the file does not tell.
+        aspect = float(stream.sample_aspect_ratio or 1)
+        last_s = -math.inf
+        timed = self._timed(container, stream)
+        for time_s, picture in _deinterlaced(timed) if self._probe.is_interlaced else timed:
+            if time_s > last_s:
+                yield _Shown(time_s, picture, aspect)
+                last_s = time_s
+
+    def _timed(self, container: InputContainer, stream: VideoStream) -> Iterator[_Timed]:
+        probe = self._probe
+        stamps: deque[int] = deque(maxlen=None if probe.is_counted else 1)
+        for index, picture in enumerate(self._decoded(container, stream, stamps)):
+            if probe.interval_s is not None:
+                yield index * probe.interval_s, picture
+                continue
+            stamp = picture.pts
+            if probe.is_counted:
+                stamp = stamps.popleft() if stamps else None
+            if stamp is not None:
+                yield self._seconds(stamp), picture
+
+    def _decoded(
+        self, container: InputContainer, stream: VideoStream, stamps: deque[int]
+    ) -> Iterator[VideoFrame]:
+        """Decode what can be decoded; collect the packets' decoding times and damaged places."""
+        packets = container.demux(stream)
+        last: int | None = None
+        for index in count():
+            packet = None
+            try:
+                packet = next(packets, None)
+                if packet is None:
+                    return
+                if packet.dts is not None:
+                    if not packet.size:  # a frame that the recorder dropped; not the end
+                        continue
+                    stamps.append(packet.dts)
+                    last = packet.dts
+                pictures = packet.decode()
+            except FFmpegError:
+                if packet is None:  # the container itself: nothing follows that can be found
+                    self._damage.add(_Damage(last, index))
+                    return
+                if packet.dts is not None:
+                    stamps.pop()
+                self._damage.add(
+                    _Damage(packet.pts if packet.pts is not None else packet.dts, index)
+                )
+                continue
+            yield from pictures
+
+    def _probed(self, container: InputContainer, camera_hz: float | None) -> _Probe:
+        """Decode the first frames and judge the times that they have."""
+        stream = _video_stream(container, self.name)
+        stamps: deque[int] = deque()
+        shown: list[int | None] = []
+        is_interlaced = False
+        for picture in islice(self._decoded(container, stream, stamps), PROBED_FRAMES):
+            shown.append(picture.pts)
+            is_interlaced |= picture.interlaced_frame
+        if not shown:
+            raise FootageError(
+                f"{self.name} cannot be read as a video: no frame of it can be decoded"
+            )
+        # AVI stores no presentation times, and FFmpeg's are wrong where frames are reordered.
+        is_reordered = container.format.name == "avi" and not stream.codec_context.codec.intra_only
+        known = [stamp for stamp in shown if stamp is not None]
+        is_counted = is_reordered or len(known) < len(shown) or not _ascending(known)
+        if is_counted:
+            known = list(stamps)[: len(shown)]
+        is_timed = not container.format.flags & NO_TIMESTAMPS and len(known) == len(shown)
+        if is_timed and stream.time_base is not None:
+            probe = _Probe(known[0], float(stream.time_base), 1.0, None, is_counted, is_interlaced)
+            return probe if camera_hz is None else _rescaled(probe, known, stream, camera_hz)
+        if camera_hz is None:
+            raise FootageError(
+                f"{self.name} holds no times, as a camera's elementary stream: state how many "
+                "frames a second the camera took (--rate in the shell, camera_hz= in Python)"
+            )
+        return _Probe(0, 1.0, 1.0, 1 / camera_hz, True, is_interlaced)
+
+    def _seconds(self, stamp: int) -> float:
+        return (stamp - self._probe.origin) * self._probe.time_base * self._probe.scale
+
+    def _time_of(self, damage: "_Damage") -> float:
+        if self._probe.interval_s is not None:
+            return damage.packet * self._probe.interval_s
+        return 0.0 if damage.stamp is None else self._seconds(damage.stamp)
 
 
 @contextmanager
 def _opened(path: Path | str) -> Generator[InputContainer]:
     """Open a file, never an address or a pattern of names, and translate what goes wrong."""
+    name = shown_path(path)
     try:
-        with Path(path).open("rb") as file, av.open(file, "r") as container:
-            yield container
-    except OSError as error:
-        raise FootageError(f"{path} cannot be read: {error.strerror}") from error
-    except FFmpegError as error:
-        raise FootageError(f"{path} cannot be read as a video: {error.strerror}") from error
-
-
-def _moments_from(container: InputContainer, path: Path | str, start_s: float) -> Iterator[_Shown]:
-    """Decode from the last frame at or before a time, in the order of presentation."""
-    if not math.isfinite(start_s) or start_s < 0:
-        raise FootageError(f"the start is {start_s:g} s, expected 0 or later")
-    origin = _first_pts(path)
-    stream = _video_stream(container, path)
-    if start_s > 0 and stream.time_base is not None:
-        with suppress(FFmpegError):  # where a container cannot seek, all of it is decoded
-            container.seek(origin + int(start_s / stream.time_base), stream=stream)
-    moments = _moments(container, stream, origin)
-    before = next(moments, None)
-    if before is None or before.time_s > start_s:  # the container's index is poor
-        container.seek(origin, stream=stream)
-        moments = _moments(container, stream, origin)
-        before = next(moments)
-    for moment in moments:
-        if moment.time_s > start_s:
-            return chain([before, moment], moments)
-        before = moment
-    return iter([before])
-
-
-def _first_pts(path: Path | str) -> int:
-    """Return when a video's first frame is shown, which its header may not tell."""
-    with _opened(path) as container:
-        for picture in container.decode(_video_stream(container, path)):
-            if picture.pts is not None:
-                return picture.pts
-    raise FootageError(f"{path} has no frame with a time")
-
-
-def _video_stream(container: InputContainer, path: Path | str) -> VideoStream:
-    if not container.streams.video:
-        raise FootageError(f"{path} has no video in it")
-    return container.streams.video[0]
-
-
-def _moments(container: InputContainer, stream: VideoStream, origin: int) -> Iterator[_Shown]:
-    last_s = -math.inf
-    for picture in container.decode(stream):
-        if picture.pts is not None and picture.time_base is not None:
-            time_s = float((picture.pts - origin) * picture.time_base)
-            if time_s > last_s:
-                # Zero or nothing means that the file does not tell.
-                yield _Shown(time_s, picture, float(stream.sample_aspect_ratio or 1))
-                last_s = time_s
-
-
-def _spacing(times_s: Sequence[float], frame_rate: float) -> float:
-    """Return the time between the wanted frames: a multiple of the camera's if that comes near."""
-    if len(times_s) < 2:
-        return 1 / frame_rate
-    distance_s = _distance(times_s)
-    spacing_s = max(1, round(1 / (frame_rate * distance_s))) * distance_s
-    is_near = abs(spacing_s * frame_rate - 1) <= RATE_TOLERANCE
-    return spacing_s if is_near else 1 / frame_rate
-
-
-def _distance(times_s: Sequence[float]) -> float:
-    """Return the time between frames where none is missing; containers round it."""
-    distances_s = np.diff(times_s)
-    return float(distances_s[distances_s < 1.5 * np.median(distances_s)].mean())
-
-
-def _between(
-    moments: Iterable[_Shown], wanted_s: Sequence[float], near_s: float
-) -> Iterator[TimedFrame]:
-    """Yield a picture for each of some ascending times, blended where none is near (`between`)."""
-    moments = iter(moments)
-    before = next(moments, None)
-    after = next(moments, None)
-    for time_s in wanted_s:
-        while before is not None and after is not None and after.time_s < time_s:
-            before, after = after, next(moments, None)
-        if before is None or (after is None and time_s > before.time_s + near_s):
-            return
-        last = after or before
-        yield between(_pixels(before), before.time_s, _pixels(last), last.time_s, time_s, near_s)
-
-
-def _nearest(moments: Iterable[_Shown], wanted_s: Sequence[float]) -> Iterator[_Shown]:
-    """Yield the frame nearest to each of some ascending times, none twice, until the video ends."""
-    moments = iter(moments)
-    following = next(moments, None)
-    for time_s in wanted_s:
-        best, following = following, next(moments, None)
-        while (
-            best is not None
-            and following is not None
-            and abs(following.time_s - time_s) <= abs(best.time_s - time_s)
+        require_regular_file(path)
+        if not Path(path).stat().st_size:
+            raise FootageError(f"{name} cannot be read as a video: it is empty")
+        with (
+            Path(path).open("rb") as file,
+            av.open(file, "r", metadata_errors="replace") as container,
         ):
-            best, following = following, next(moments, None)
-        if best is None or (following is None and time_s > best.time_s + TIME_TOLERANCE_S):
+            yield container
+    except FFmpegError as error:
+        raise FootageError(f"{name} cannot be read as a video: {error.strerror}") from error
+    except OSError as error:
+        raise FootageError(f"{name} cannot be read: {error.strerror}") from error
+
+
+def _video_stream(container: InputContainer, name: str) -> VideoStream:
+    """Return the stream that players show: not the thumbnail beside it."""
+    stream = container.streams.best("video")
+    if not isinstance(stream, VideoStream):
+        raise FootageError(f"{name} has no video in it")
+    return stream
+
+
+def _ascending(stamps: Sequence[int]) -> bool:
+    return all(before < after for before, after in pairwise(stamps))
+
+
+def _rescaled(
+    probe: _Probe, stamps: Sequence[int], stream: VideoStream, camera_hz: float
+) -> _Probe:
+    """Stretch the file's times, so that its frames come at the camera's rate."""
+    if len(stamps) < 2:
+        return probe
+    interval_s = usual_distance([stamp * probe.time_base for stamp in stamps])
+    told = stream.average_rate
+    if told and abs(float(told) * interval_s - 1) < ROUNDING:
+        interval_s = 1 / float(told)  # exact, where the time stamps are rounded
+    return probe._replace(scale=1 / (interval_s * camera_hz))
+
+
+def _deinterlaced(timed: Iterator[_Timed]) -> Iterator[_Timed]:
+    """Make whole pictures of interlaced ones; the filter gives one for each, in order."""
+    times_s: deque[float] = deque()
+    graph: Graph | None = None
+    for time_s, picture in timed:
+        if graph is None:
+            graph = _deinterlacer(picture)
+        times_s.append(time_s)
+        graph.push(picture)
+        yield from _pulled(graph, times_s)
+    if graph is not None:
+        graph.push(None)
+        yield from _pulled(graph, times_s)
+
+
+def _deinterlacer(picture: VideoFrame) -> Graph:
+    graph = Graph()
+    source = graph.add_buffer(
+        width=picture.width,
+        height=picture.height,
+        format=picture.format,
+        time_base=picture.time_base,
+    )
+    deinterlacer = graph.add("bwdif", "mode=send_frame:deint=interlaced")
+    sink = graph.add("buffersink")
+    source.link_to(deinterlacer)
+    deinterlacer.link_to(sink)
+    graph.configure()
+    return graph
+
+
+def _pulled(graph: Graph, times_s: deque[float]) -> Iterator[_Timed]:
+    while times_s:
+        try:
+            picture = graph.pull()
+        except (BlockingIOError, EOFError):
             return
-        yield best
+        if isinstance(picture, VideoFrame):
+            yield times_s.popleft(), picture
 
 
-def _pixels(moment: _Shown) -> UInt8[np.ndarray, "height width 3"]:
+def _pixels(shown: _Shown, name: str) -> UInt8[np.ndarray, "height width 3"]:
     """Picture with square pixels, turned as players show it."""
-    picture = moment.picture
-    shown = picture.reformat(width=round(picture.width * moment.pixel_aspect), format="rgb24")
-    return np.rot90(np.asarray(shown.to_ndarray(), np.uint8), picture.rotation // 90)
+    picture = shown.picture
+    try:
+        # Said in full: versions of PyAV differ in what they assume.
+        rgb = picture.reformat(
+            width=round(picture.width * shown.pixel_aspect),
+            format="rgb24",
+            src_colorspace=COLORSPACES.get(picture.colorspace, "ITU601"),
+            dst_colorspace="ITU601",
+            src_color_range="JPEG" if _is_full_range(picture) else "MPEG",
+            dst_color_range="JPEG",
+        ).to_ndarray()
+    except (FFmpegError, ValueError) as error:
+        raise FootageError(
+            f"{name}: the frame at {shown.time_s:.3f} s ({picture.format.name}) cannot be "
+            f"converted to RGB: {error}"
+        ) from error
+    return _turned(np.asarray(rgb, np.uint8), picture)
+
+
+def _refuse(told: str) -> UInt8[np.ndarray, "height width 3"]:
+    raise FootageError(told)
+
+
+def _is_full_range(picture: VideoFrame) -> bool:
+    """Whether black is 0 and white 255; without a tag, YUV is narrower and grey is not."""
+    if picture.color_range == UNTAGGED:
+        return picture.format.name.startswith(("gray", "yuvj"))
+    return picture.color_range == FULL_RANGE
+
+
+def _turned(
+    pixels: UInt8[np.ndarray, "height width 3"], picture: VideoFrame
+) -> UInt8[np.ndarray, "height width 3"]:
+    """Turn and mirror a picture by its display matrix, to the nearest of the eight ways."""
+    matrix = picture.side_data.get("DISPLAYMATRIX")
+    if matrix is None:
+        return pixels
+    # A row vector (x, y, 1) of the stored picture times this is where players show it.
+    to_right, to_down = np.frombuffer(bytes(matrix), np.int32).reshape(3, 3)[:2, :2].T
+    if abs(to_right[1]) > abs(to_right[0]):
+        pixels, to_right, to_down = pixels.swapaxes(0, 1), to_right[::-1], to_down[::-1]
+    rows = -1 if to_down[1] < 0 else 1
+    columns = -1 if to_right[0] < 0 else 1
+    return pixels[::rows, ::columns]

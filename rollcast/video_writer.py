@@ -62,19 +62,30 @@ def _encode(path: Path, pictures: Iterable[Image.Image], frame_rate: float) -> N
     except ModuleNotFoundError as error:
         raise MissingExtraError("videos need", "PyAV", "video") from error
     try:
-        opened: Any = av.open(str(path), "w")  # whose types know little of its options
-        with opened as container:
-            stream = container.add_stream(
-                CODECS[path.suffix.lower()],
-                rate=Fraction(frame_rate).limit_denominator(1000),
-                options=QUALITY,
-            )
-            stream.pix_fmt = "yuv420p"
-            for index, picture in enumerate(pictures):
-                if index == 0:
-                    stream.width, stream.height = picture.size
-                frame = av.VideoFrame.from_ndarray(np.asarray(picture), format="rgb24")
-                container.mux(stream.encode(frame))
-            container.mux(stream.encode())
+        # Names go through Python: PyAV refuses those that are not UTF-8. Its types know little of
+        # its options.
+        with path.open("wb") as file:
+            opened: Any = av.open(file, "w", format=path.suffix.lower()[1:])
+            with opened as container:
+                _fill(container, CODECS[path.suffix.lower()], pictures, frame_rate)
     except FFmpegError as error:
         raise FootageError(f"{path} cannot be written: {error.strerror}") from error
+
+
+def _fill(
+    container: Any,  # noqa: ANN401 - PyAV is an extra
+    codec: str,
+    pictures: Iterable[Image.Image],
+    frame_rate: float,
+) -> None:
+    from av import VideoFrame
+
+    rate = Fraction(frame_rate).limit_denominator(1000)
+    stream = container.add_stream(codec, rate=rate, options=QUALITY)
+    stream.pix_fmt = "yuv420p"
+    for index, picture in enumerate(pictures):
+        if index == 0:
+            stream.width, stream.height = picture.size
+        frame = VideoFrame.from_ndarray(np.asarray(picture), format="rgb24")
+        container.mux(stream.encode(frame))
+    container.mux(stream.encode())

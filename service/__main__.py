@@ -2,14 +2,13 @@
 
 import argparse
 import ipaddress
+import os
 import socket
 import sys
-from functools import partial
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from service.settings import Settings
-    from service.siblings import Siblings
 
 
 def main() -> int:
@@ -29,11 +28,11 @@ def main() -> int:
         return _fail("; ".join(": ".join(map(str, fault)) for fault in faults))
     except ValueError as error:
         return _fail(str(error))
-    if settings.keys_file is None and not settings.anonymous and not _is_loopback(host):
+    if settings.keys_file is None and not settings.allow_unauthenticated and not _is_loopback(host):
         return _fail(
             f"will not listen on {host} without API keys, for others may reach it. Name a file of "
             "keys (python -m service.auth makes it): ROLLCAST_KEYS_FILE=keys.json. Or let "
-            "everybody ask: ROLLCAST_ANONYMOUS=true"
+            "everybody ask: ROLLCAST_ALLOW_UNAUTHENTICATED=true"
         )
     try:
         listener = socket.create_server((host, port), family=family)
@@ -46,25 +45,31 @@ def main() -> int:
         # Inherited by every connection; asyncio leaves it out for those that it has not made, and
         # answers then wait 40 ms for an acknowledgement.
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        answer = partial(_answer, settings.share())
-        if settings.processes > 1:
-            from service.processes import Processes
-
-            return Processes(settings.processes, answer, listener).serve()
-        answer(listener)
-    return 0
+        return _serve(settings, listener)
 
 
-def _answer(settings: "Settings", source: "socket.socket | Siblings") -> None:
-    """Serve connections from a listening socket, or from the process that accepts them."""
+def _serve(settings: "Settings", listener: socket.socket) -> int:
+    from service.settings import metrics_folder
+
+    if settings.processes > 1:
+        from service.process.supervisor import supervise
+
+        return supervise(settings, listener)
+    if (folder := metrics_folder()) is not None:
+        from service.observability.shared_metrics import reserve_metrics
+
+        try:
+            reserve_metrics(folder, str(os.getpid()))
+        except OSError as error:
+            return _fail(f"no room for metrics in {folder}: {error.strerror}")
     from service.serving.loading import begin_loading
 
-    alone = isinstance(source, socket.socket)
-    load = begin_loading(settings.models_dir, proves=(0, 1) if alone else source.proves)
+    load = begin_loading(settings.models_dir)
     # The web framework takes as long as the models: they load meanwhile, on another core.
-    from service.process.server import serve
+    from service.process.server import make_server
 
-    serve(settings, load, source)
+    make_server(settings, load).run([listener])
+    return 0
 
 
 def _parser(settings: str) -> argparse.ArgumentParser:
@@ -79,7 +84,7 @@ def _parser(settings: str) -> argparse.ArgumentParser:
         "--host",
         default="127.0.0.1",
         help="address to listen on; 0.0.0.0 opens the service to the network, which needs API keys "
-        "or ROLLCAST_ANONYMOUS=true (default: this machine alone)",
+        "or ROLLCAST_ALLOW_UNAUTHENTICATED=true (default: this machine alone)",
     )
     parser.add_argument(
         "--port",

@@ -1,6 +1,7 @@
 """The app, made from its settings; its lifespan owns models and processes."""
 
 import asyncio
+import time
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, suppress
 
@@ -9,8 +10,10 @@ from fastapi_offline import FastAPIOffline
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from rollcast.schemas import API_VERSION
+from service import model_reload
 from service.auth.api_keys import ApiKeyStore
 from service.auth.rate_limit import RateLimiter
+from service.errors import UnknownModelError
 from service.http.authorization import check_access
 from service.http.openapi import install_openapi
 from service.http.problem_details import install_problem_handlers
@@ -34,14 +37,18 @@ from service.inference.scheduler import Scheduler
 from service.observability.log_config import install_access_log
 from service.observability.metrics import Metrics
 from service.serving.loading import Loader, load_registry
+from service.serving.model_changes import ModelChanges
 from service.settings import Settings
-from service.siblings import Siblings
 from service.simulation.pool import RecycledProcess
 from service.state import State
 
+ACCEPT_AFTER_S = 10.0
+"""Longest time for which a worker process that loads its models leaves connections to others."""
+POLL_S = 0.02
+
 
 def create_app(
-    settings: Settings, load: Loader = load_registry, siblings: Siblings | None = None
+    settings: Settings, load: Loader = load_registry, changes: ModelChanges | None = None
 ) -> FastAPI:
     """Make the service.
 
@@ -51,11 +58,10 @@ def create_app(
         See ``service.settings``.
     load
         Loads the models of a folder, off the event loop.
-    siblings
-        The other processes that answer on the same address, if there are any.
+    changes
+        Loads and unloads that the other worker processes follow too, if there are any.
     """
     figures = Metrics()
-    held = figures.held.labels("inference")
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
@@ -65,14 +71,13 @@ def create_app(
                 settings.inference_threads,
                 settings.inference_threads + settings.inference_queue,
                 settings.max_batch,
-                held if siblings is None else siblings.follow(held),
+                figures.in_flight.labels("inference"),
                 figures.batches,
-                siblings,
             ),
             simulation=Workers(
                 RecycledProcess(settings.simulation_recycle, settings.simulation_timeout_s),
                 1 + settings.simulation_queue,
-                figures.held.labels("simulation"),
+                figures.in_flight.labels("simulation"),
             ),
             metrics=figures,
             load=load,
@@ -81,11 +86,13 @@ def create_app(
             rate_limiter=None
             if settings.requests_per_minute is None
             else RateLimiter(settings.requests_per_minute),
-            siblings=siblings,
+            changes=changes,
         )
         app.state.service = state
         return_freed_memory()
         loading = asyncio.create_task(_load(state))
+        if changes is not None:
+            await _other_workers_accept(state, loading)
         yield
         state.phase = "draining"
         loading.cancel()
@@ -130,9 +137,23 @@ async def _load(state: State) -> None:
     """Load the models while the service already answers that it does so."""
     with state.metrics.loading.time():
         registry = await run_in_daemon_thread(state.load, state.settings.models_dir)
+    if state.changes is not None:
+        for name in state.changes.unloaded:
+            with suppress(UnknownModelError):  # its folder is gone
+                registry = registry.without(name)
     state.serve(registry)
-    if state.siblings is not None:
-        refused = await state.siblings.ready(state.registry.refused)
-        state.serve(state.registry.refusing(refused))
     if state.phase == "loading":
         state.phase = "serving"
+    if state.changes is not None:
+        await model_reload.follow(state, state.changes)
+
+
+async def _other_workers_accept(state: State, loading: asyncio.Task[None]) -> None:
+    """Delay the first connection of a worker until its models are there, but not for long.
+
+    Requests go to workers that can answer them. Where models take long to load, every worker
+    answers that it is loading instead.
+    """
+    deadline = time.monotonic() + ACCEPT_AFTER_S
+    while state.phase == "loading" and time.monotonic() < deadline and not loading.done():
+        await asyncio.sleep(POLL_S)

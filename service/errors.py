@@ -3,7 +3,7 @@
 * ServiceError
   x MalformedBodyError         400  the body cannot be parsed
   x UnauthorizedError          401  an API key is missing, unknown or has expired
-  x ForbiddenError             403  the key has not the right
+  x ForbiddenError             403  the key lacks the scope
   x UnknownModelError          404
   x BodyTooSlowError           408
   x BodyTooLargeError          413
@@ -82,7 +82,7 @@ class UnauthorizedError(ServiceError):
 
 
 class ForbiddenError(ServiceError):
-    """The API key has not the right."""
+    """The API key lacks the scope."""
 
     status, slug, title = 403, "forbidden", "The API key may not do this"
 

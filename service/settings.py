@@ -2,11 +2,10 @@
 
 import math
 import os
-import socket
+import re
 import textwrap
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 from loky import cpu_count
 from pydantic import (
@@ -30,6 +29,11 @@ FILE_VARIABLE = "ROLLCAST_SETTINGS_FILE"
 """Names a TOML file of settings; variables of the environment go before it."""
 OTHER_VARIABLES = frozenset({FILE_VARIABLE, "ROLLCAST_RUNS", "ROLLCAST_API_KEY", "ROLLCAST_URL"})
 """Variables of this file, of the training and of the client, all in the same environment."""
+KUBERNETES_VARIABLE = re.compile(
+    r"ROLLCAST(_[A-Z0-9]+)*?_(SERVICE_HOST|SERVICE_PORT(_\w+)?|PORT|PORT_\d+_(TCP|UDP)(_\w+)?)"
+)
+"""Variables that Kubernetes sets in every pod for a Service named ``rollcast`` or
+``rollcast-...``."""
 
 TRACE_RECEIVERS = {"OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT"}
 """Variables of OpenTelemetry that say where traces go."""
@@ -40,42 +44,34 @@ MEBI = 2**20
 def keep_runtime_silent() -> None:
     """Stop ONNX Runtime from reporting its use (decision 0002), unless the user has chosen.
 
-    Only what stands in the environment before its import counts.
+    The variable takes effect only before ONNX Runtime is imported.
     """
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 
 SHARED_METRICS = "PROMETHEUS_MULTIPROC_DIR"
 """Names the folder in which several processes count; Prometheus' client reads it too."""
-MOST_PROCESSES = 4
-"""By default: each holds all models in memory."""
+SHUTDOWN_MARGIN_S = 1
+"""Time beyond ``graceful_shutdown_timeout_s`` after which a process ends without finishing its
+work."""
 
 
-def metrics_are_shared() -> bool:
-    """Tell whether several processes count together."""
-    return SHARED_METRICS in os.environ
+def metrics_folder() -> Path | None:
+    """Return the folder in which several processes count together, if there is one."""
+    folder = os.environ.get(SHARED_METRICS)
+    return None if folder is None else Path(folder)
 
 
 def share_metrics(folder: str) -> None:
-    """Let processes count in one folder, unless the user has named one.
-
-    Prometheus' client must not have been imported yet.
-    """
+    """Let processes count in one folder, unless the user has named one."""
     os.environ.setdefault(SHARED_METRICS, folder)
-
-
-def default_processes(given: Mapping[str, Any]) -> int:
-    """Return one a core up to a few; one where requests are counted or cannot be handed over."""
-    if given.get("requests_per_minute") is not None or not hasattr(socket, "send_fds"):
-        return 1
-    return min(cpu_count(), MOST_PROCESSES)
 
 
 Origin: TypeAlias = Annotated[str, Field(pattern=r"^(\*|https?://[^/\s]+)$")]
 
 
 class Settings(BaseSettings):
-    """Every setting of the service; one that is unknown is refused wherever it stands."""
+    """Settings of the service. Unknown settings are an error in every source."""
 
     model_config = SettingsConfigDict(
         env_prefix=PREFIX, frozen=True, extra="forbid", use_attribute_docstrings=True
@@ -84,78 +80,77 @@ class Settings(BaseSettings):
     models_dir: DirectoryPath = Path(__file__).resolve().parents[1] / "models"
     """Folder of the artefacts, ``NAME/VERSION/``."""
     keys_file: FilePath | None = None
-    """File of API keys, which `python -m service.auth` makes; it is read again when it changes.
-    Without one nobody is asked for a key."""
-    anonymous: bool = False
-    """Whether everybody may ask on addresses that others reach. Without keys and without this the
-    service listens to its own machine alone."""
+    """File of API keys, written by `python -m service.auth` and reloaded when it changes. Without
+    it, requests need no key."""
+    allow_unauthenticated: bool = False
+    """Allow unauthenticated requests on addresses beyond loopback. Without this or a key file, the
+    service only starts on loopback addresses."""
     requests_per_minute: Annotated[int, Field(ge=1)] | None = None
-    """Requests that each key may send in a minute, or without keys each address; one more is
-    refused with 429. By default as many as it likes. They are counted by a single process."""
+    """Rate limit per API key, or per client address without keys; further requests get 429. By
+    default there is no limit. A limit requires a single process."""
     trusted_proxies: tuple[IPvAnyNetwork, ...] = ()
-    """Addresses or networks of reverse proxies, a JSON list, whose headers X-Forwarded-For and
-    X-Forwarded-Proto tell the client's address and scheme. By default no such header is
-    believed."""
+    """Addresses or networks of reverse proxies, as a JSON list. Only their X-Forwarded-For and
+    X-Forwarded-Proto headers determine the client's address and scheme. By default these headers
+    are ignored."""
     root_path: Annotated[str, Field(pattern=r"^(/[A-Za-z0-9._~-]+)*$")] = ""
-    """Prefix under which a reverse proxy serves this service, as in ``/rollcast``; `/docs` needs
-    it. The proxy may strip it or pass it on."""
+    """Path prefix of a reverse proxy, such as ``/rollcast``; required by `/docs`. The proxy may
+    strip it or pass it on."""
     allowed_origins: tuple[Origin, ...] = ()
-    """Origins of web pages, SCHEME://HOST[:PORT], that may ask the service from a browser; "*"
-    stands for all of them. By default its own page alone."""
+    """Origins of web pages, SCHEME://HOST[:PORT], that may call the service from a browser (CORS);
+    "*" allows all of them. By default only the service's own page."""
     max_body_bytes: Annotated[int, Field(ge=1)] = 64 * MEBI
-    """Largest request body; a larger one is refused with 413 while it is being read."""
+    """Maximum size of a request body; larger ones are rejected with 413 while they arrive."""
     max_total_body_bytes: Annotated[int, Field(ge=1)] = 256 * MEBI
-    """Bytes of all request bodies that one process holds until they have been parsed and answered.
-    Beyond it the largest body that is still arriving is refused with 503."""
-    receive_timeout_s: Annotated[float, Field(gt=0)] = 60
-    """Seconds in which the head of a request has to arrive, and then its body: a slower body is
-    refused with 408, and its connection closed."""
-    send_timeout_s: Annotated[float, Field(gt=0)] = 60
-    """Seconds after which the connection of a client is closed that takes nothing of its answer."""
-    processes: Annotated[int, Field(ge=1)] = Field(default_factory=default_processes)
-    """Processes that answer, each with all models in its memory; by default one per core that the
-    service or its container may use, up to four. Each connection belongs to one of them."""
+    """Maximum size of all request bodies that a process holds at the same time. Beyond it, the
+    largest body that is still arriving is rejected with 503."""
+    read_timeout_s: Annotated[float, Field(gt=0)] = 60
+    """Time limit for receiving the head of a request, and again for its body. A slower body gets
+    408, and the connection is closed."""
+    write_timeout_s: Annotated[float, Field(gt=0)] = 60
+    """Close a connection whose client reads nothing for this many seconds."""
+    processes: Annotated[int, Field(ge=1)] = 1
+    """Worker processes that accept connections, each with all models in its memory. A supervisor
+    replaces workers that exit or do not respond. By default one process serves on all cores."""
     inference_threads: Annotated[int, Field(ge=1)] = Field(default_factory=cpu_count)
-    """Threads that compute forecasts, of all processes together and at least one in each; by
-    default one per core."""
+    """Threads that compute forecasts, split evenly across processes, at least one in each; by
+    default one per core that the service or its container may use."""
     inference_queue: Annotated[int, Field(ge=0)] = 64
-    """Forecasts that may be held beyond one a thread, in equal parts by all processes; one more is
-    refused with 429."""
+    """Queue length beyond the forecasts being computed, split evenly across processes; further
+    requests get 429."""
     deadline_s: Annotated[float, Field(gt=0)] = 60
-    """Seconds after which a forecast that is not there is given up with 504, the wait in the queue
-    included; the header X-Request-Timeout-Ms may ask for less."""
+    """Time limit of a forecast, including the time in the queue; later ones get 504. The header
+    X-Request-Timeout-Ms may request less."""
     max_batch: Annotated[int, Field(ge=1)] = 16
-    """Forecasts that may come in one tensor of ``/v2``, and that are gathered, while more frames
-    wait, before they are rolled out together."""
+    """Maximum number of forecasts in one tensor of ``/v2``, and in a batch of queued requests that
+    are rolled out together."""
     simulation_queue: Annotated[int, Field(ge=0)] = 8
-    """Simulations that may wait for the one that runs, in equal parts in all processes, each of
-    which runs its own; one more is refused with 429."""
+    """Queue length beyond the running simulation, split evenly across processes, each of which runs
+    its own; further requests get 429."""
     simulation_recycle: Annotated[int, Field(ge=1)] = 500
-    """Simulations after which the process that runs them is replaced."""
+    """Number of simulations after which the simulation process is replaced."""
     simulation_timeout_s: Annotated[float, Field(gt=0)] = 120
-    """Seconds after which a simulation is given up with 504 and its process killed; the next one
-    gets a new process."""
+    """Time limit of a simulation. A longer one gets 504, and its process is killed and replaced."""
     max_simulated_pixels: Annotated[int, Field(ge=1)] = 16 * MEBI
-    """Largest number of pixels, all frames together, that one simulation may draw; by default
-    enough for 1000 frames of 128 pixels."""
+    """Maximum number of pixels of one simulation, all frames together. The default is enough for
+    1000 frames of 128 pixels."""
     retry_after_s: Annotated[int, Field(ge=1)] = 1
-    """Seconds after which a refused client is asked to come back (the header Retry-After)."""
-    drain_s: Annotated[float, Field(ge=0)] = 0
-    """Seconds for which a service that was told to stop goes on listening, not ready any more, so
-    that those who send it requests take notice; it listens until its last forecast is answered
-    anyway."""
-    stop_timeout_s: Annotated[int, Field(ge=1)] = 30
-    """Seconds after which a service that was told to stop gives up what it still works on."""
+    """Value of the Retry-After header of rejected requests, in seconds."""
+    shutdown_delay_s: Annotated[float, Field(ge=0)] = 0
+    """Minimum time for which a stopping service keeps accepting connections while it reports that
+    it is not ready, so that load balancers notice. It always listens until its last forecast is
+    answered."""
+    graceful_shutdown_timeout_s: Annotated[int, Field(ge=1)] = 30
+    """Time limit for finishing requests after a stop signal. The service ends at most three seconds
+    later."""
     log_format: Literal["json", "text"] = "json"
-    """Log lines as JSON objects, or as text for people."""
+    """Format of log lines: JSON objects or plain text."""
     log_requests: bool = True
-    """Whether every request has a line in the log. Failures of the service always have one."""
+    """Log every request. Failures of the service are always logged."""
     replica: Annotated[str, Field(pattern=r"^[A-Za-z0-9._:#-]{0,128}$")] = ""
-    """Name of this process where there are several: it comes with every answer in the header
-    X-Rollcast-Replica and stands in the log line of its request. Without one there is none."""
+    """Name of this replica, sent in the header X-Rollcast-Replica and written to log lines. By
+    default there is no such header."""
     traces: bool = False
-    """Whether requests are traced; OTEL_EXPORTER_OTLP_ENDPOINT, a variable of OpenTelemetry's as
-    there are others, says where the spans go."""
+    """Export OpenTelemetry traces of requests to OTEL_EXPORTER_OTLP_ENDPOINT."""
 
     @classmethod
     def settings_customise_sources(
@@ -185,13 +180,13 @@ class Settings(BaseSettings):
     def _know_where_traces_go(self) -> "Settings":
         os.environ.setdefault("OTEL_SERVICE_NAME", "rollcast")
         if self.traces and not TRACE_RECEIVERS & os.environ.keys():
-            raise ValueError(f"traces need one of {sorted(TRACE_RECEIVERS)}: where they go")
+            raise ValueError(f"traces requires one of {sorted(TRACE_RECEIVERS)}")
         return self
 
     @model_validator(mode="after")
     def _count_in_one_process(self) -> "Settings":
         if self.requests_per_minute is not None and self.processes > 1:
-            raise ValueError("requests_per_minute needs processes = 1, which counts them all")
+            raise ValueError("requests_per_minute requires processes = 1")
         return self
 
     @model_validator(mode="after")
@@ -200,14 +195,18 @@ class Settings(BaseSettings):
             try:
                 KeyFile.read(self.keys_file)
             except (OSError, ValueError) as error:
-                raise ValueError(f"{self.keys_file} is no file of keys: {error}") from error
+                raise ValueError(f"{self.keys_file} is not a valid key file: {error}") from error
         return self
 
     @model_validator(mode="after")
     def _know_every_variable(self) -> "Settings":
         known = {f"{PREFIX}{name}".upper() for name in type(self).model_fields}
         given = {name for name in os.environ if name.upper().startswith(PREFIX)}
-        unknown = sorted(given - OTHER_VARIABLES - known)
+        unknown = sorted(
+            name
+            for name in given - OTHER_VARIABLES - known
+            if not KUBERNETES_VARIABLE.fullmatch(name)
+        )
         if unknown:
             raise ValueError(f"unknown settings {unknown}; known are {sorted(known)}")
         return self

@@ -14,9 +14,9 @@ from service.inference.body_budget import BodyBudget
 from service.inference.scheduler import Scheduler
 from service.observability.metrics import Metrics
 from service.serving.loading import Loader
+from service.serving.model_changes import ModelChanges
 from service.serving.registry import Registry
 from service.settings import Settings
-from service.siblings import Siblings
 
 
 @dataclass
@@ -39,8 +39,8 @@ class State:
         The API keys; None where nobody is asked for one.
     rate_limiter
         How often each may ask; None where everybody may as often as they like.
-    siblings
-        The other processes that answer; None where there are none.
+    changes
+        Loads and unloads that all worker processes follow; None for a process alone.
     registry
         The models; empty while loading.
     changing
@@ -57,7 +57,7 @@ class State:
     bodies: BodyBudget
     api_keys: ApiKeyStore | None = None
     rate_limiter: RateLimiter | None = None
-    siblings: Siblings | None = None
+    changes: ModelChanges | None = None
     registry: Registry = field(default_factory=lambda: Registry([]))
     changing: asyncio.Lock = field(default_factory=asyncio.Lock)
     phase: Literal["loading", "serving", "draining"] = "loading"

@@ -15,7 +15,7 @@ import httpx2
 import numpy as np
 
 from rollcast.client.answers import MAX_ANSWER_BYTES, MAX_SIMULATION_BYTES, failure, unexpected
-from rollcast.client.images import Crop, Frame, Frames, encoded
+from rollcast.client.images import Crop, Frame, Frames, each, encoded
 from rollcast.client.results import Forecast, Simulation
 from rollcast.client.shapes import require
 from rollcast.errors import InvalidArgumentError
@@ -209,7 +209,8 @@ def _forecast_call(
         "frame_rate": None if rate is None else _number("frame_rate", rate),
     }
     files: list[Part] = [
-        ("frames", (f"frame{index}", encoded(frame, crop))) for index, frame in enumerate(frames)
+        ("frames", (f"frame{index}", encoded(frame, crop)))
+        for index, frame in enumerate(each(frames))
     ]
     if final_frame is not None:
         files.append(("final_frame", ("final_frame", encoded(final_frame, crop))))

@@ -58,7 +58,7 @@ def read_clip(
     except ModuleNotFoundError as error:
         raise MissingExtraError("videos need", "PyAV", "video") from error
     rate = options.get("frame_rate") or (model and model.frame_rate_hz) or FRAME_RATE_HZ
-    crop = SquareCrop(*model.rig.crop) if model and model.rig else None
+    crop = SquareCrop(*model.setup.crop) if model and model.setup else None
     seen = read_frames(clip, start_s=options.get("start_s") or 0.0, crop=crop, frame_rate=rate)
     rest = options | ForecastOptions(frame_rate=seen.frame_rate, start_s=None, crop=None)
     return seen.frames, rest, blend_warnings(seen, rate)

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 from pydantic import BaseModel, ValidationError
 
 from rollcast.camera import camera_for
-from rollcast.manifest import GAUSSIAN_HALF_RADIUS
+from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS
 from rollcast.scene import COLORS, SCENARIOS, Scene
 from rollcast.schemas import (
     DEFAULT_HORIZON,
@@ -124,7 +124,7 @@ def forecast(
             for ball, path in enumerate(positions)
         ],
         times_s=[step / rate for step in range(horizon)],
-        half_radii=[GAUSSIAN_HALF_RADIUS] * horizon,
+        ellipse50_radii=[GAUSSIAN_ELLIPSE50_RADIUS] * horizon,
         final_positions=None
         if wish.final_frame is None
         else [(float(path[horizon - 1][0]), float(path[horizon - 1][1])) for path in positions],
@@ -143,7 +143,7 @@ def events(whole: PredictResponse) -> bytes:
             StreamStep(
                 step=step,
                 time_s=time_s,
-                half_radius=whole.half_radii[step],
+                ellipse50_radius=whole.ellipse50_radii[step],
                 objects=[
                     StreamObject(
                         id=ball.id,

@@ -64,7 +64,7 @@ def forecast_json(forecast: "Forecast") -> str:
             for index, color in enumerate(forecast.colors)
         ],
         "times_s": forecast.times_s.tolist(),
-        "half_radii": forecast.half_radii.tolist(),
+        "ellipse50_radii": forecast.ellipse50_radii.tolist(),
         "final_positions": None if final is None else final.tolist(),
     }
     return PredictResponse.model_validate(body).model_dump_json()

@@ -3,66 +3,86 @@
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import Image
 
-Frame = np.ndarray | Image.Image | Path | str
-"""RGB uint8 [height, width, 3], a Pillow image, or the path of a PNG, JPEG or WebP file."""
-Frames = Sequence[Frame] | np.ndarray
-"""Several of them in order, or one array [frames, height, width, 3]."""
+from rollcast.footage import SquareCrop
+from rollcast.frames import END_OF_IMAGE, FrameLike, SupportsArray, as_frame, read_file
+
+Frame = FrameLike
+"""Whatever ``rollcast.frames.as_frame`` takes: an array or tensor, a Pillow image, a path, bytes or
+an open file."""
+
+
+class FrameTensor(Protocol):
+    """A tensor of another library that holds several frames."""
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        ...
+
+    def __getitem__(self, index: int, /) -> SupportsArray:
+        """Return one of them."""
+        ...
+
+
+Frames = Sequence[Frame] | np.ndarray | FrameTensor
+"""Several of them in order, or one array or tensor of frames."""
 Crop = Literal["square"]
 """``square`` cuts the largest square out of the middle of every frame."""
 
 
-def encoded(frame: Frame, crop: Crop | None) -> bytes:
-    """Return a frame as a file; one that is a file already is left as it is, unless cropped.
+def each(frames: Frames) -> list[Frame]:
+    """Return frames one by one.
 
     Raises
     ------
     TypeError
-        When an array is not uint8.
-    ValueError
-        When an array has not the shape [height, width, 3].
-    OSError
-        When a file cannot be read.
+        When it is one picture, or the name of one.
     """
-    if isinstance(frame, str | Path) and crop is None:
-        return Path(frame).read_bytes()
+    shape: tuple[int, ...] = tuple(getattr(frames, "shape", ()))
+    if isinstance(frames, str | bytes | bytearray) or not hasattr(frames, "__len__"):
+        raise TypeError(f"frames is one {type(frames).__name__}, expected a list of four")
+    if len(shape) == 2 or (len(shape) == 3 and shape[2] in (1, 3, 4)):
+        raise TypeError(f"frames is one picture of the shape {shape}, expected a list of four")
+    return [frames[index] for index in range(len(frames))]
+
+
+def encoded(frame: Frame, crop: Crop | None) -> bytes:
+    """Return a frame as a file; one that the service reads is left as it is, unless cropped.
+
+    Raises
+    ------
+    TypeError, FrameError, OSError
+        As ``rollcast.frames.as_frame`` does.
+    """
+    if crop is None and isinstance(frame, bytes | bytearray | str | Path):
+        data = bytes(frame) if isinstance(frame, bytes | bytearray) else read_file(frame)
+        if _is_read_by_the_service(data):
+            return data
     buffer = io.BytesIO()
-    _cropped(frame, crop).save(buffer, "PNG", compress_level=1)
+    Image.fromarray(pixels(frame, crop)).save(buffer, "PNG", compress_level=1)
     return buffer.getvalue()
 
 
 def pixels(frame: Frame, crop: Crop | None) -> np.ndarray:
     """Return a frame's pixels, uint8 [height, width, 3]; raises as ``encoded`` does."""
-    return np.asarray(_cropped(frame, crop).convert("RGB"))
+    picture = as_frame(frame)
+    if crop is None:
+        return picture
+    return SquareCrop.centred(picture.shape[1], picture.shape[0]).cut(picture)
 
 
 def decoded(data: bytes) -> np.ndarray:
     """Return the pixels of an image file, uint8 [height, width, 3]."""
-    with Image.open(io.BytesIO(data)) as image:
-        return np.asarray(image.convert("RGB"))
+    return as_frame(data)
 
 
-def _cropped(frame: Frame, crop: Crop | None) -> Image.Image:
-    image = _image(frame)
-    if crop is None:
-        return image
-    side = min(image.size)
-    left, top = (image.width - side) // 2, (image.height - side) // 2
-    return image.crop((left, top, left + side, top + side))
-
-
-def _image(frame: Frame) -> Image.Image:
-    if isinstance(frame, Image.Image):
-        return ImageOps.exif_transpose(frame)
-    if isinstance(frame, str | Path):
-        with Image.open(frame) as image:
-            return ImageOps.exif_transpose(image)
-    if frame.dtype != np.uint8:
-        raise TypeError(f"a frame is an array of {frame.dtype}, expected uint8")
-    if frame.ndim != 3 or frame.shape[2] != 3:
-        raise ValueError(f"a frame has the shape {frame.shape}, expected [height, width, 3]")
-    return Image.fromarray(frame)
+def _is_read_by_the_service(data: bytes) -> bool:
+    """Whether bytes are a PNG, WebP or whole JPEG file."""
+    if data.startswith(b"\xff\xd8\xff"):
+        return data.endswith(END_OF_IMAGE)
+    is_webp = data.startswith(b"RIFF") and data[8:12] == b"WEBP"
+    return is_webp or data.startswith(b"\x89PNG\r\n\x1a\n")

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from rollcast.client.images import Crop, Frames, pixels
+from rollcast.client.images import Crop, Frames, each, pixels
 from rollcast.plot import draw_forecast, draw_moment, draw_truth
+from rollcast.trajectory import STEP_TOLERANCE
 
 if TYPE_CHECKING:
     from rollcast.client.results import Forecast, Simulation
@@ -27,7 +28,7 @@ def forecast(
 ) -> Image.Image:
     """Draw a forecast as ``Forecast.plot`` describes."""
     frames, times_s = _timed(forecast, frames, times_s)
-    end_s = forecast.times_s[-1] + 0.5 / forecast.frame_rate
+    end_s = forecast.times_s[-1] + STEP_TOLERANCE / forecast.frame_rate
     shown = _spread(sum(time_s <= end_s for time_s in times_s), panels)
     drawn = [_fitting(forecast, frames, index, crop) for index in shown]
     return draw_forecast(np.stack(drawn), np.array(times_s)[shown], forecast)
@@ -41,10 +42,10 @@ def film(
 ) -> Iterator[Image.Image]:
     """Draw every step of a forecast over the latest frame that is not after it."""
     frames, times_s = _timed(forecast, frames, times_s)
-    half_a_step_s = 0.5 / forecast.frame_rate
+    tolerance_s = STEP_TOLERANCE / forecast.frame_rate
     latest, frame = 0, _fitting(forecast, frames, 0, crop)
     for time_s in forecast.times_s.tolist():
-        index = sum(taken_s <= time_s + half_a_step_s for taken_s in times_s) - 1
+        index = sum(taken_s <= time_s + tolerance_s for taken_s in times_s) - 1
         if index > latest:
             latest, frame = index, _fitting(forecast, frames, index, crop)
         yield draw_moment(frame, time_s, forecast, f"+{time_s:.2f} s")
@@ -65,9 +66,12 @@ def _timed(
     if frames is None:
         width, height = forecast.frame_size
         frames = np.full((1, height, width, 3), BACKGROUND, np.uint8)
+    frames = each(frames)
     if times_s is None:
         times_s = [index / forecast.frame_rate for index in range(len(frames))]
-    if len(times_s) != len(frames) or [0, *sorted(times_s)[1:]] != list(times_s):
+    tolerance_s = STEP_TOLERANCE / forecast.frame_rate
+    is_now = len(times_s) > 0 and abs(times_s[0]) <= tolerance_s
+    if len(times_s) != len(frames) or not is_now or sorted(times_s) != list(times_s):
         raise ValueError(
             f"{len(frames)} frames at {list(times_s)} s, expected as many times, ascending from 0: "
             "the last observed frame"

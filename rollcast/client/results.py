@@ -51,8 +51,8 @@ class ForecastStep:
     """0 is the last observed frame."""
     time_s: float
     """Seconds after the last observed frame."""
-    half_radius: float
-    """Element of ``Forecast.half_radii`` for this step."""
+    ellipse50_radius: float
+    """Element of ``Forecast.ellipse50_radii`` for this step."""
     positions: Float64[np.ndarray, "objects 2"]
     """Pixels."""
     covariances: Float64[np.ndarray, "objects 2 2"]
@@ -74,7 +74,7 @@ class ForecastStep:
         return cls(
             step=event.step,
             time_s=event.time_s,
-            half_radius=event.half_radius,
+            ellipse50_radius=event.ellipse50_radius,
             positions=checked("positions", [ball.position for ball in balls], (len(balls), 2)),
             covariances=_covariances([ball.covariance for ball in balls], (len(balls),)),
             angular_velocities=_unless_unknown(
@@ -93,7 +93,7 @@ class Forecast:
     """Square pixels."""
     covariance_source: Literal["predicted", "empirical"]
     """``predicted`` for these frames, or ``empirical``: residuals on validation data."""
-    half_radii: Float64[np.ndarray, " T"]
+    ellipse50_radii: Float64[np.ndarray, " T"]
     """Standard deviations: radius of the ellipse that should hold the truth every second time. That
     of the ellipse that should hold 95 % is always 2.45."""
     angular_velocities: Float64[np.ndarray, "objects T 3"] | None
@@ -227,7 +227,7 @@ class Forecast:
             positions=checked("positions", [ball.positions for ball in balls], (*shape, 2)),
             covariances=_covariances([ball.covariances for ball in balls], shape),
             covariance_source=source,
-            half_radii=checked("half_radii", response.half_radii, shape[1:]),
+            ellipse50_radii=checked("ellipse50_radii", response.ellipse50_radii, shape[1:]),
             angular_velocities=_unless_unknown(
                 [ball.angular_velocities for ball in balls], (*shape, 3)
             ),
@@ -270,7 +270,7 @@ class Forecast:
         whole |= {
             "objects": balls,
             "times_s": [step.time_s for step in steps],
-            "half_radii": [step.half_radius for step in steps],
+            "ellipse50_radii": [step.ellipse50_radius for step in steps],
         }
         return cls.from_response(PredictResponse(**whole))
 

@@ -1,21 +1,24 @@
 """``rollcast doctor``: whether everything is here that a forecast needs."""
 
 import platform
+import tempfile
 from collections.abc import Iterator
 from http import HTTPStatus
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import typer
+from PIL import Image
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.client import Client
 from rollcast.commands.options import Outcome, Url, client
 from rollcast.commands.printing import as_json
-from rollcast.errors import RollcastError, ServiceFailedError
-from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+from rollcast.errors import RollcastError, ServerError
+from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ, OBSERVED_FRAMES
 
 HELP = """\
 Check Python, packages and the service, up to a forecast of a simulated ball.
@@ -83,8 +86,26 @@ def _extras() -> Iterator[Finding]:
     for extra, (package, purpose) in EXTRAS.items():
         if find_spec(package) is None:
             yield Finding("note", extra, f"pip install 'rollcast[{extra}]', and {purpose}")
+        elif extra == "video" and (fault := _video_fault()):
+            told = f"{package} {version(package)} fails ({fault}): pip install -U 'rollcast[video]'"
+            yield Finding("FAIL", extra, told)
         else:
             yield Finding("ok", extra, f"{package} {version(package)}, {purpose}")
+
+
+def _video_fault() -> str | None:
+    """Write a clip and read it; an installed package may be older than what is called of it."""
+    try:
+        from rollcast.video import read_frames
+        from rollcast.video_writer import write_film
+
+        with tempfile.TemporaryDirectory() as folder:
+            clip = Path(folder) / "clip.mp4"
+            write_film(clip, [Image.new("RGB", (64, 64), "gray")] * 8, FRAME_RATE_HZ)
+            read_frames(clip)
+    except Exception as error:  # whatever an old package raises
+        return f"{type(error).__name__}: {error}"
+    return None
 
 
 def _service(service: Client) -> Iterator[Finding]:
@@ -109,7 +130,7 @@ def _models(service: Client) -> Iterator[Finding]:
         "ok" if ready else "FAIL", "models", f"{len(ready)} of {len(entries)} can be used"
     )
     for entry in entries:
-        if entry.status == "refused":
+        if entry.status == "invalid":
             yield Finding("note", "models", f"{entry.name}@{entry.version}: {entry.reason}")
 
 
@@ -117,7 +138,7 @@ def _round_trip(service: Client) -> Iterator[Finding]:
     """Forecast a simulated ball and compare with where it went."""
     try:
         scene = service.simulate("hemisphere", seed=SEED, steps=OBSERVED_FRAMES + HORIZON)
-    except ServiceFailedError as error:
+    except ServerError as error:
         if error.problem.status != HTTPStatus.NOT_IMPLEMENTED:
             raise
         yield Finding("note", "simulation", error.problem.detail)

@@ -29,6 +29,8 @@ class Outcome(NamedTuple):
     """For stderr."""
     code: int = 0
     """Exit code."""
+    finish: Callable[[], None] | None = None
+    """Work that follows when the text has been printed: pictures and films."""
 
 
 class CommandError(Exception):
@@ -36,9 +38,22 @@ class CommandError(Exception):
 
 
 def client(context: typer.Context, url: str | None) -> Client:
-    """Return a client of an address, made by the caller of the commands."""
+    """Return a client of an address, made by whoever runs the commands.
+
+    Raises
+    ------
+    CommandError
+        When what the environment says of proxies and certificates cannot be used.
+    """
     connect: Connect = context.obj
-    return connect(url)
+    try:
+        return connect(url)
+    except (ImportError, OSError, ValueError) as error:
+        raise CommandError(
+            f"no connection can be made ({error}): check the environment's proxies (ALL_PROXY, "
+            "HTTP_PROXY, HTTPS_PROXY; NO_PROXY=127.0.0.1 leaves this machine out) and certificates "
+            "(SSL_CERT_FILE, SSL_CERT_DIR)"
+        ) from error
 
 
 def _url(text: str) -> str:
@@ -132,7 +147,8 @@ Rate: TypeAlias = Annotated[
     typer.Option(
         parser=_rate,
         metavar="HZ",
-        help="images a second, of all of them (default: 40); a video tells its own",
+        help="frames a second that the camera took: of images (default: 40), of an elementary "
+        "stream, which does not tell, and of slow motion, which is stored slower",
     ),
 ]
 Crop: TypeAlias = Annotated[

@@ -10,9 +10,10 @@ from rollcast.client import Forecast
 from rollcast.commands.options import FILMS
 from rollcast.commands.progress import counted
 from rollcast.commands.reading import LaterFrames
-from rollcast.errors import FootageError
+from rollcast.errors import FootageEndedError
 from rollcast.footage import Footage
 from rollcast.plot import draw_forecast, draw_moment
+from rollcast.trajectory import STEP_TOLERANCE
 from rollcast.video_writer import write_film
 
 LATER_FRAMES = 6
@@ -58,7 +59,7 @@ def _moments(
         shown = _shown(later_frames, [now_s + time_s for time_s in times_s])
         for time_s in times_s:
             title = f"+{time_s:.2f} s"
-            frame = _frame_at(shown, now_s + time_s, 0.5 / forecast.frame_rate)
+            frame = _frame_at(shown, now_s + time_s, STEP_TOLERANCE / forecast.frame_rate)
             if frame is None:
                 title += ", the footage has ended"
             else:
@@ -69,7 +70,7 @@ def _moments(
 def _shown(later_frames: LaterFrames, wanted_s: Sequence[float]) -> Footage | None:
     try:
         return later_frames(wanted_s)
-    except FootageError:  # a video that ends before the first of them
+    except FootageEndedError:  # before the first of them
         return None
 
 

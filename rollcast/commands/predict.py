@@ -1,5 +1,6 @@
 """``rollcast predict``: where the ball of a video or of images goes."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -114,11 +115,10 @@ def predict(
             scenario=scenario,
             frame_rate=observed.frame_rate,
         )
-    if out is not None:
-        draw(out, observed, later_frames, forecast, slower)
-    warnings = [*blend_warnings(observed, known_rate), *forecast.warnings]
+    warnings = [*blend_warnings(observed, known_rate), *observed.warnings, *forecast.warnings]
     text = forecast_text(observed, forecast, warnings, form)
-    return Outcome(text, warnings if form == "csv" else ())
+    drawing = None if out is None else partial(draw, out, observed, later_frames, forecast, slower)
+    return Outcome(text, warnings if form == "csv" else (), finish=drawing)
 
 
 def _known(service: Client, model: str) -> tuple[float, SquareCrop | None]:
@@ -127,5 +127,5 @@ def _known(service: Client, model: str) -> tuple[float, SquareCrop | None]:
         return FRAME_RATE_HZ, None
     name, _, version = model.partition("@")
     entry = service.model(name, int(version) if version.isdecimal() else None)
-    crop = None if entry.rig is None else SquareCrop(*entry.rig.crop)
+    crop = None if entry.setup is None else SquareCrop(*entry.setup.crop)
     return entry.frame_rate_hz or FRAME_RATE_HZ, crop

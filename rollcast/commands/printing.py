@@ -41,7 +41,7 @@ def forecast_text(
             "crop": asdict(crop),
             "observed_times_s": observed.times_s.tolist(),
             "times_s": forecast.times_s.tolist(),
-            "half_radii": forecast.half_radii.tolist(),
+            "ellipse50_radii": forecast.ellipse50_radii.tolist(),
             "objects": [
                 {
                     "id": ball,

@@ -1,13 +1,20 @@
 """``rollcast track``: where the balls of a clip are, frame by frame."""
 
+import hashlib
+import os
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rollcast.commands.options import CommandError, Crop, Outcome, whole_number
+from rollcast.clip import open_clip
+from rollcast.commands.options import CommandError, Crop, Outcome, Rate, whole_number
 from rollcast.commands.progress import counted, waiting
 from rollcast.errors import MissingExtraError
+from rollcast.frames import shown_path
+from rollcast.image_sequence import ImageSequence, image_files
 from rollcast.scene import MAX_FORECAST_OBJECTS
 from rollcast.video_writer import write_film
 
@@ -32,7 +39,11 @@ Examples:
 def track(
     clips: Annotated[
         list[Path],
-        typer.Argument(metavar="VIDEO...", help="clips of one set-up", show_default=False),
+        typer.Argument(
+            metavar="CLIP...",
+            help="clips of one set-up: videos or folders of images",
+            show_default=False,
+        ),
     ],
     balls: Annotated[
         int | None,
@@ -43,6 +54,7 @@ def track(
         ),
     ] = None,
     crop: Crop = None,
+    rate: Rate = None,
     out: Annotated[
         Path, typer.Option(metavar="FOLDER", help="where tracks, reports and films go")
     ] = Path("tracks"),
@@ -51,26 +63,93 @@ def track(
     try:
         from rollcast.tracking.overlay import overlaid
         from rollcast.tracking.track import track as track_clip
+        from rollcast.tracking.tracks import Tracks
     except ModuleNotFoundError as error:
         raise MissingExtraError("tracking needs", error.name or "a package", "track") from error
-    names = [clip.stem for clip in clips]
-    if len(set(names)) < len(names):
-        raise CommandError(f"two clips are called {max(names, key=names.count)}; name them apart")
+    names = _names(clips)
     # In a folder of their own: beside the tracks training looks for the clips as they were filmed.
     films = out / "films"
-    films.mkdir(parents=True, exist_ok=True)
     reports: list[Quality] = []
+    warnings: list[str] = []
     palettes = None
-    for clip in clips:
-        with waiting(f"tracking {clip.name}"):
-            tracks, quality, found = track_clip(clip, balls=balls, crop=crop, like=palettes)
-        palettes = found if palettes is None else palettes
-        tracks.write(out / f"{clip.stem}.parquet")
-        (out / f"{clip.stem}.json").write_text(quality.model_dump_json(indent=2) + "\n")
-        pictures = counted(overlaid(clip, tracks), quality.frames, f"drawing {clip.name}")
-        write_film(films / f"{clip.stem}.mp4", pictures, quality.frame_rate)
+    for clip, name in names.items():
+        source = open_clip(clip, rate=rate)
+        if isinstance(source, ImageSequence) and rate is None:
+            raise CommandError(
+                f"{source.name} holds images, which tell no times: name their --rate"
+            )
+        tracks_file = beside(out / name, ".parquet")
+        fingerprint = _fingerprint(clip)
+        if tracks_file.exists():
+            _refuse_other(tracks_file, Tracks.read(tracks_file).source_sha256, fingerprint)
+        film = beside(films / name, ".mp4")
+        film.parent.mkdir(parents=True, exist_ok=True)
+        tracks_file.parent.mkdir(parents=True, exist_ok=True)
+        shown = shown_path(name)
+        with waiting(f"tracking {shown}"):
+            made = track_clip(source, balls=balls, crop=crop, like=palettes, name=shown)
+        palettes = made.palettes if palettes is None else palettes
+        quality = made.quality
+        replace(made.tracks, source_sha256=fingerprint).write(tracks_file)
+        beside(out / name, ".json").write_text(quality.model_dump_json(indent=2) + "\n")
+        pictures = counted(overlaid(source, made.tracks), quality.frames, f"drawing {shown}")
+        write_film(film, pictures, quality.frame_rate)
         reports.append(quality)
-    return Outcome("\n\n".join(map(_table, reports)), [w for one in reports for w in _doubts(one)])
+        warnings += source.warnings
+    warnings += [doubt for quality in reports for doubt in _doubts(quality)]
+    return Outcome("\n\n".join(map(_table, reports)), warnings)
+
+
+def beside(path: Path, ending: str) -> Path:
+    """Return a path with an ending more; names may have dots."""
+    return path.with_name(path.name + ending)
+
+
+def _names(clips: Sequence[Path]) -> dict[Path, str]:
+    """Return a name for each clip: of those called alike the folders belong to it.
+
+    Raises
+    ------
+    CommandError
+        When two of one folder are called alike, or one is named twice.
+    """
+    stems = [_stem(clip) for clip in clips]
+    names = {clip: _stem(clip) for clip in clips}
+    if len(set(stems)) < len(stems):
+        whole = [clip.resolve() for clip in clips]
+        top = Path(os.path.commonpath([path.parent for path in whole]))
+        names = {
+            clip: stem if stems.count(stem) == 1 else str(path.parent.relative_to(top) / stem)
+            for clip, path, stem in zip(clips, whole, stems, strict=True)
+        }
+    called = list(names.values())
+    if len(set(called)) < len(clips):
+        twice = max(called, key=called.count)
+        raise CommandError(f"two clips are called {shown_path(twice)}; name them apart")
+    return names
+
+
+def _stem(clip: Path) -> str:
+    return clip.name if clip.is_dir() else clip.stem
+
+
+def _fingerprint(clip: Path) -> str:
+    """Return a hash of a file, or of the names and sizes in a folder."""
+    if clip.is_dir():
+        listed = [f"{path.name} {path.stat().st_size}" for path in image_files(clip)]
+        text = "\n".join(listed).encode("utf-8", "surrogateescape")
+        return hashlib.sha256(text).hexdigest()
+    with clip.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _refuse_other(path: Path, known: str, fingerprint: str) -> None:
+    """Refuse to write over the tracks of another clip; older ones do not tell whose they are."""
+    if known not in ("", fingerprint):
+        raise CommandError(
+            f"{shown_path(path)} holds the tracks of another clip of that name; name another "
+            "folder with --out, or remove it"
+        )
 
 
 def _table(quality: "Quality") -> str:

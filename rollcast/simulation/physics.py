@@ -14,15 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rollcast.camera import HEIGHTFIELD_HALF_WIDTH_M
-from rollcast.errors import MissingExtraError
 from rollcast.scene import Quaternion, Scene, Vector3
+from rollcast.simulation.bullet import pybullet
 from rollcast.surfaces import BOWL_RADIUS_M, EllipsoidalBowl, Surface, surface_of
 from rollcast.trajectory import FRAME_RATE_HZ, Trajectory
-
-try:
-    import pybullet
-except ImportError as error:
-    raise MissingExtraError("simulations need", "pybullet", "simulation") from error
 
 STEPS_PER_FRAME = 9
 """360 Hz: three substeps of 120 Hz, as in the paper's simulation details."""

@@ -11,12 +11,12 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-import pybullet
 from pydantic import TypeAdapter, ValidationError
 
 from rollcast.camera import HEIGHTFIELD_HALF_WIDTH_M, TABLE_HALF_WIDTH_M
 from rollcast.errors import SceneParametersError
 from rollcast.scene import LARGE_RADIUS_M, SCENARIOS, Scenario, Scene, Vector3
+from rollcast.simulation.bullet import pybullet
 from rollcast.surfaces import Contact, EllipsoidalBowl, Heightfield, Table
 
 NOISE_PLANE_SIDE_M = 8.0

@@ -1,7 +1,6 @@
 # pyright: standard
 """What a picture looks like without balls, and what stands in front of it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -21,6 +20,8 @@ MOST_IN_FRONT = 0.25
 """Share of a picture that may keep changing; with more the camera moves, or the light."""
 CHANGING = 0.1
 """Share of the pictures that differ from the median where something comes and goes."""
+BAND_VALUES = 4_000_000
+"""Values of all pictures that are compared at once; memory grows with them."""
 BORDER = 3
 """Pixels on both sides of an outline, along which contrast is measured."""
 CLEARER = 2.5
@@ -54,7 +55,7 @@ class Background:
         return np.clip(difference / self.threshold - 0.5, 0, 1)
 
 
-def background_of(pictures: Sequence[UInt8[np.ndarray, "height width 3"]]) -> Background:
+def background_of(pictures: UInt8[np.ndarray, "pictures height width 3"]) -> Background:
     """Find the background of pictures from all over a clip.
 
     It is what each pixel shows most often: balls that come and go look different every time. One
@@ -66,14 +67,15 @@ def background_of(pictures: Sequence[UInt8[np.ndarray, "height width 3"]]) -> Ba
     FootageError
         When too much of the pictures changes: the camera moves.
     """
-    usual = cv2.blur(_usual(np.stack(pictures)), BLUR)
-    evened = [_even(picture, usual) for picture in pictures]
-    noise = float(np.median([np.median(_difference(seen, usual)) for seen in evened]))
-    background = Background(usual, max(LEAST_DIFFERENCE, NOISES * noise))
-    # A place that a ball's shadow left is lighter; that is not the ball's outline.
-    masks = [_difference(seen, usual, 1 / DARKEST_SHADOW) > background.threshold for seen in evened]
+    usual = cv2.blur(_usual(pictures), BLUR)
+    # One picture at a time, twice: evened ones take four times the memory.
+    noises = [np.median(_difference(_even(picture, usual), usual)) for picture in pictures]
+    background = Background(usual, max(LEAST_DIFFERENCE, NOISES * float(np.median(noises))))
     emptied = usual.copy()
-    for seen, mask in zip(evened, masks, strict=True):
+    for picture in pictures:
+        seen = _even(picture, usual)
+        # A place that a ball's shadow left is lighter; that is not the ball's outline.
+        mask = _difference(seen, usual, 1 / DARKEST_SHADOW) > background.threshold
         _take_out(emptied, seen, mask)
     return Background(emptied, background.threshold)
 
@@ -82,22 +84,38 @@ def _usual(
     pictures: UInt8[np.ndarray, "pictures height width 3"],
 ) -> Float32[np.ndarray, "height width 3"]:
     """Return the colour that each pixel has most often: the median where little changes."""
-    usual = np.median(pictures, axis=0).astype(np.float32)
-    unlike = np.stack([np.abs(one - usual).max(axis=-1) > LEAST_DIFFERENCE for one in pictures])
-    lively = unlike.mean(axis=0) > CHANGING
+    usual = np.empty(pictures.shape[1:], np.float32)
+    unlike = np.zeros(pictures.shape[1:3], np.int64)
+    band = max(1, BAND_VALUES // pictures[:, 0].size)
+    for first in range(0, len(usual), band):
+        rows = slice(first, first + band)
+        usual[rows] = np.median(pictures[:, rows], axis=0)
+        for one in pictures[:, rows]:
+            unlike[rows] += np.abs(one - usual[rows]).max(axis=-1) > LEAST_DIFFERENCE
+    lively = unlike / len(pictures) > CHANGING
     if lively.mean() > MOST_IN_FRONT:
         raise FootageError(
             f"{lively.mean():.0%} of the picture keep changing; tracking needs a camera that "
             "stands still, even light and room around the balls"
         )
-    colours = pictures[:, lively].astype(np.float32)
-    least = np.full(colours.shape[1], np.inf, np.float32)
+    rows, columns = np.nonzero(lively)
+    few = max(1, BAND_VALUES // (3 * len(pictures)))
+    for first in range(0, len(rows), few):
+        place = rows[first : first + few], columns[first : first + few]
+        usual[place] = _most_alike(pictures[:, *place].astype(np.float32), usual[place])
+    return usual
+
+
+def _most_alike(
+    colours: Float32[np.ndarray, "pictures pixels 3"], usual: Float32[np.ndarray, "pixels 3"]
+) -> Float32[np.ndarray, "pixels 3"]:
+    """Return the colour of each pixel with the most like it, other ones being equally unlike."""
+    least = np.full(len(usual), np.inf, np.float32)
     for picture in colours:
-        # The colour with the most like it, other ones being equally unlike.
         apart = np.abs(colours - picture).max(axis=-1).clip(max=LEAST_DIFFERENCE).sum(axis=0)
         better = apart < least
         least[better] = apart[better]
-        usual[lively] = np.where(better[:, None], picture, usual[lively])
+        usual = np.where(better[:, None], picture, usual)
     return usual
 
 

@@ -84,7 +84,7 @@ class Detector:
 
 
 def radius_of_balls(
-    background: Background, pictures: Sequence[UInt8[np.ndarray, "height width 3"]]
+    background: Background, pictures: UInt8[np.ndarray, "pictures height width 3"]
 ) -> float:
     """Return the usual radius of what is round in some pictures, pixels.
 

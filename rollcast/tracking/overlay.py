@@ -6,21 +6,23 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
+from rollcast.clip import open_clip
+from rollcast.footage import FrameSource
 from rollcast.plot import PALETTE
 from rollcast.tracking.tracks import Tracks
-from rollcast.video import every_frame
 
 TAIL = 15
 """Frames of a ball's way behind it."""
 
 
-def overlaid(path: Path, tracks: Tracks) -> Iterator[Image.Image]:
+def overlaid(clip: Path | FrameSource, tracks: Tracks) -> Iterator[Image.Image]:
     """Yield every picture of a clip with its balls' numbers, outlines and ways.
 
     A ball that is not found is named in the corner, and drawn nowhere.
     """
-    for index, moment in enumerate(every_frame(path)):
-        yield draw_tracks(moment.picture, tracks, index)
+    source = open_clip(clip) if isinstance(clip, Path) else clip
+    for index, taken in enumerate(source.frames()):
+        yield draw_tracks(taken.load(), tracks, index)
 
 
 def draw_tracks(picture: np.ndarray, tracks: Tracks, index: int) -> Image.Image:

@@ -1,7 +1,7 @@
 # pyright: standard
 """From a video to tracks."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.optimize import linear_sum_assignment
 
+from rollcast.clip import open_clip
 from rollcast.errors import FootageError
-from rollcast.footage import SquareCrop
+from rollcast.footage import FrameSource, SquareCrop
 from rollcast.tracking.association import Identities, assign_identities, balls_in, palette_evidence
 from rollcast.tracking.background import background_of
 from rollcast.tracking.detection import BIN_WIDTHS, BINS, Detections, Detector, radius_of_balls
@@ -20,11 +21,12 @@ from rollcast.tracking.quality import NEAR, CloseApproach, Doubts, Quality, qual
 from rollcast.tracking.smoothing import smoothed
 from rollcast.tracking.tracklets import Tracklet, link_tracklets
 from rollcast.tracking.tracks import Tracks
-from rollcast.video import every_frame
 
 MOST_BALLS = 4
 SAMPLES = 80
 """Pictures, from all over a clip, that its background is made of."""
+SAMPLES_BYTES = 512 * 2**20
+"""Memory that these pictures take at most; of larger ones there are fewer."""
 FEWEST_FRAMES = 20
 SURE_SCORE = 0.85
 """Of a detection that is nothing but a ball."""
@@ -46,22 +48,27 @@ class Tracked(NamedTuple):
 
 
 def track(
-    path: Path,
+    path: Path | FrameSource,
     *,
     balls: int | None = None,
     crop: SquareCrop | None = None,
     like: Palettes | None = None,
+    name: str | None = None,
 ) -> Tracked:
-    """Track the balls of a video.
+    """Track the balls of a clip, in memory that does not grow with the pictures' number.
 
     Parameters
     ----------
+    path
+        A clip (``rollcast.clip.open_clip``), or its path.
     balls
         How many there are; None counts them.
     crop
         A square of the picture that all balls stay in; None looks everywhere.
     like
         Palettes of another clip of the same balls, whose order is kept; None orders them by hue.
+    name
+        Name of the clip; by default that of the file.
 
     Raises
     ------
@@ -70,28 +77,29 @@ def track(
     CropError
         When the crop does not lie inside the picture.
     """
-    times_s = np.array([moment.time_s for moment in every_frame(path)])
+    source = path if not isinstance(path, Path) else open_clip(path)
+    times_s = np.array([taken.time_s for taken in source.frames()])
     if len(times_s) < FEWEST_FRAMES:
         raise FootageError(
-            f"{path} has {len(times_s)} frames, expected at least {FEWEST_FRAMES} to track balls in"
+            f"{source.name} has {len(times_s)} frames, expected at least {FEWEST_FRAMES} to track "
+            "balls in"
         )
-    chosen = set(np.linspace(0, len(times_s) - 1, SAMPLES).astype(int).tolist())
-    samples = [picture for index, picture in enumerate(_pictures(path, crop)) if index in chosen]
-    background = background_of(samples)
-    detector = Detector(background, radius_of_balls(background, samples))
-    frames = [detector.detect(picture) for picture in _pictures(path, crop)]
+    height, width = next(source.frames()).load().shape[:2]
+    detector = _detector(_samples(source, crop, len(times_s)))
+    frames = [detector.detect(_cut(taken.load(), crop)) for taken in source.frames()]
     tracklets = link_tracklets(frames, detector.radius_px)
     if not 0 < len(tracklets) < len(frames):
         raise FootageError(
-            f"{path}: {len(tracklets)} things like balls come and go in {len(frames)} frames, "
-            "expected fewer than frames and at least one; --crop leaves out what else moves"
+            f"{source.name}: {len(tracklets)} things like balls come and go in {len(frames)} "
+            "frames, expected fewer than frames and at least one; --crop leaves out what else moves"
         )
     count = balls or balls_in(tracklets, len(frames), MOST_BALLS)
     known = _ordered(assign_identities(tracklets, frames, count, detector.radius_px), like)
     rows = _rows(tracklets, known, len(frames), count)
-    height, width = next(every_frame(path)).picture.shape[:2]
     corner = (0, 0) if crop is None else (crop.x, crop.y)
-    tracks = _tracks(path.stem, (width, height), corner, times_s, frames, rows, known)
+    tracks = _tracks(
+        name or Path(source.name).stem, (width, height), corner, times_s, frames, rows, known
+    )
     doubts = Doubts(
         _touched(tracks, frames),
         list(_encounters(tracks, frames, rows, known.palettes)),
@@ -99,9 +107,30 @@ def track(
     return Tracked(tracks, quality_of(tracks, doubts), known.palettes)
 
 
-def _pictures(path: Path, crop: SquareCrop | None) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-    for moment in every_frame(path):
-        yield moment.picture if crop is None else crop.cut(moment.picture)
+def _samples(
+    source: FrameSource, crop: SquareCrop | None, frames: int
+) -> UInt8[np.ndarray, "samples height width 3"]:
+    """Return pictures from all over a clip, as many as SAMPLES_BYTES hold."""
+    shape = _cut(next(source.frames()).load(), crop).shape
+    count = min(SAMPLES, max(FEWEST_FRAMES, SAMPLES_BYTES // int(np.prod(shape))))
+    chosen = sorted(set(np.linspace(0, frames - 1, count).astype(int).tolist()))
+    samples = np.empty((len(chosen), *shape), np.uint8)
+    place = {frame: index for index, frame in enumerate(chosen)}
+    for frame, taken in enumerate(source.frames()):
+        if frame in place:
+            samples[place[frame]] = _cut(taken.load(), crop)
+    return samples
+
+
+def _detector(samples: UInt8[np.ndarray, "samples height width 3"]) -> Detector:
+    background = background_of(samples)
+    return Detector(background, radius_of_balls(background, samples))
+
+
+def _cut(
+    picture: UInt8[np.ndarray, "height width 3"], crop: SquareCrop | None
+) -> UInt8[np.ndarray, "height width 3"]:
+    return picture if crop is None else crop.cut(picture)
 
 
 def _ordered(found: Identities, like: Palettes | None) -> Identities:

@@ -49,6 +49,8 @@ class Tracks:
         NaN in gaps.
     confidences
         0 to 1; 0 in gaps.
+    source_sha256
+        Hash of the clip's file; empty where it is not known.
     """
 
     clip: str
@@ -59,6 +61,7 @@ class Tracks:
     positions_px: Float[np.ndarray, "frames balls 2"]
     radii_px: Float[np.ndarray, "frames balls"]
     confidences: Float[np.ndarray, "frames balls"]
+    source_sha256: str = ""
 
     @property
     def balls(self) -> int:
@@ -82,12 +85,18 @@ class Tracks:
             self.radii_px.ravel(),
             self.confidences.ravel(),
         ]
-        about = {"width": self.width, "height": self.height, "colours": self.colours}
+        about = {
+            "width": self.width,
+            "height": self.height,
+            "colours": self.colours,
+            "source_sha256": self.source_sha256,
+        }
         table = pa.Table.from_arrays(
             [pa.array(c, f.type, from_pandas=True) for c, f in zip(columns, COLUMNS, strict=True)],
             schema=COLUMNS.with_metadata({ABOUT: json.dumps(about).encode()}),
         )
-        parquet.write_table(table, path)
+        with path.open("wb") as file:  # names go through Python: pyarrow wants UTF-8
+            parquet.write_table(table, file)
 
     @classmethod
     def read(cls, path: Path) -> "Tracks":
@@ -99,7 +108,8 @@ class Tracks:
             When the file cannot be read or holds no such table.
         """
         try:
-            table = parquet.read_table(path)
+            with path.open("rb") as file:
+                table = parquet.read_table(file)
         except (OSError, pa.ArrowInvalid) as error:
             raise FootageError(f"{path} cannot be read as tracks: {error}") from error
         about = (table.schema.metadata or {}).get(ABOUT)
@@ -121,4 +131,5 @@ class Tracks:
             positions_px=np.stack([shaped["x"], shaped["y"]], axis=-1),
             radii_px=shaped["radius"].copy(),
             confidences=shaped["confidence"].copy(),
+            source_sha256=told.get("source_sha256", ""),
         )

@@ -5,7 +5,7 @@ import sys
 from datetime import date
 from pathlib import Path
 
-from service.auth.api_keys import RIGHTS, Key, KeyFile, digest, exclusively, new_token
+from service.auth.api_keys import SCOPES, Key, KeyFile, digest, exclusively, new_token
 
 
 def main() -> int:
@@ -33,7 +33,7 @@ def _parser() -> argparse.ArgumentParser:
     add = commands.add_parser("add", help="make a key and print it, once; the file has its hash")
     add.add_argument("name", help="who it is for: letters, digits, dot, dash, underscore")
     add.add_argument(
-        "--right", dest="rights", action="append", choices=RIGHTS,
+        "--scope", dest="scopes", action="append", choices=SCOPES,
         help="forecast (default), manage (load and unload models), metrics; more than once for "
         "several",
     )  # fmt: skip
@@ -41,7 +41,7 @@ def _parser() -> argparse.ArgumentParser:
         "--expires", type=date.fromisoformat, metavar="YYYY-MM-DD", help="last day it is good"
     )
     add.set_defaults(run=_add)
-    listed = commands.add_parser("list", help="list names, rights and expiry")
+    listed = commands.add_parser("list", help="list names, scopes and expiry")
     listed.set_defaults(run=_list)
     remove = commands.add_parser("remove", help="remove a key; it is refused within a second")
     remove.add_argument("name")
@@ -56,7 +56,7 @@ def _add(arguments: argparse.Namespace, known: KeyFile, path: Path) -> int:
     key = Key(
         name=arguments.name,
         sha256=digest(token),
-        rights=tuple(dict.fromkeys(arguments.rights or ("forecast",))),
+        scopes=tuple(dict.fromkeys(arguments.scopes or ("forecast",))),
         expires=arguments.expires,
     )
     KeyFile(keys=(*known.keys, key)).write(path)
@@ -67,7 +67,7 @@ def _add(arguments: argparse.Namespace, known: KeyFile, path: Path) -> int:
 def _list(_: argparse.Namespace, known: KeyFile, __: Path) -> int:
     for key in known.keys:
         until = "" if key.expires is None else f", until {key.expires}"
-        print(f"{key.name}: {', '.join(key.rights)}{until}")
+        print(f"{key.name}: {', '.join(key.scopes)}{until}")
     return 0
 
 

@@ -24,8 +24,8 @@ from pydantic_core import ErrorDetails
 
 from rollcast.files import read_regular_file
 
-Right: TypeAlias = Literal["forecast", "manage", "metrics"]
-RIGHTS: tuple[Right, ...] = get_args(Right)
+Scope: TypeAlias = Literal["forecast", "manage", "metrics"]
+SCOPES: tuple[Scope, ...] = get_args(Scope)
 
 TOKEN_BYTES = 32
 TOKEN_PREFIX = "rollcast_"
@@ -46,7 +46,7 @@ class Key(BaseModel):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,64}$")]
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-    rights: tuple[Right, ...] = ("forecast",)
+    scopes: tuple[Scope, ...] = ("forecast",)
     expires: date | None = None
     """Last day on which it is good, UTC."""
 

@@ -2,7 +2,7 @@
 
 from fastapi import Request
 
-from service.auth.api_keys import ApiKeyStore, Key, Right
+from service.auth.api_keys import ApiKeyStore, Key, Scope
 from service.errors import ForbiddenError, UnauthorizedError
 from service.http.problem_details import PROTOCOL_PATH
 from service.state import ServiceState
@@ -23,8 +23,8 @@ OPEN_PATHS = frozenset(
 MANAGING_PATH = f"{PROTOCOL_PATH}/repository/models/"
 
 
-def right_for(path: str) -> Right | None:
-    """Return the right that a route needs; None where everybody may ask."""
+def scope_for(path: str) -> Scope | None:
+    """Return the scope that a route needs; None where no key is needed."""
     if path in OPEN_PATHS:
         return None
     if path == "/metrics":
@@ -40,32 +40,31 @@ async def check_access(request: Request, service: ServiceState) -> None:
     UnauthorizedError
         Without a key that is known and has not expired.
     ForbiddenError
-        With one that has not the right.
+        With a key that lacks the scope.
     TooManyRequestsError
         When whoever asks has asked too often.
     """
     # The route's own path: what a proxy puts before it does not matter.
-    right = right_for(request.scope["route"].path)
-    if right is None:
+    scope = scope_for(request.scope["route"].path)
+    if scope is None:
         return
     asker = request.client.host if request.client else "somebody"
     if service.api_keys is not None:
-        asker = _key(request, service.api_keys, right).name
-    if service.rate_limiter is not None and right != "metrics":
+        asker = _key(request, service.api_keys, scope).name
+    if service.rate_limiter is not None and scope != "metrics":
         service.rate_limiter.hit(asker)
 
 
-def _key(request: Request, api_keys: ApiKeyStore, right: Right) -> Key:
-    """Return the key that a request shows, if it has the right."""
+def _key(request: Request, api_keys: ApiKeyStore, scope: Scope) -> Key:
+    """Return the key of a request, if it has the scope."""
     scheme, _, token = request.headers.get("authorization", "").partition(" ")
     if scheme.lower() != "bearer" or not token:
         raise UnauthorizedError("This needs an API key: Authorization: Bearer KEY.")
     key = api_keys.find(token.strip())
     if key is None:
         raise UnauthorizedError("This API key is not known, or has expired.")
-    if right not in key.rights:
+    if scope not in key.scopes:
         raise ForbiddenError(
-            f"The key {key.name} may not do this: it needs the right {right!r} and has "
-            f"{', '.join(map(repr, key.rights))}."
+            f"API key {key.name!r} lacks scope {scope!r} (has: {', '.join(map(repr, key.scopes))})."
         )
     return key

@@ -6,6 +6,7 @@ import numpy as np
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import Manifest
+from rollcast.rollout import Outputs, stacked
 from rollcast.schemas import (
     DEFAULT_HORIZON,
     ForecastObject,
@@ -21,7 +22,7 @@ from rollcast.schemas import (
 from service.errors import InvalidValueError
 from service.http.image_decoding import Check, decode_frames
 from service.inference.deadlines import CancellationToken
-from service.inference.rollout import Forecast, Outputs, assemble, stacked
+from service.inference.rollout import Forecast, assemble
 from service.inference.scheduler import DecodedRequest
 from service.observability.metrics import Metrics
 from service.observability.tracing import Stages
@@ -135,7 +136,7 @@ class WholeForecast(_Forecast):
             **dict(self.summary(forecast.final_positions)),
             objects=_objects(forecast, self.manifest),
             times_s=[step / self._rate for step in range(len(self._steps))],
-            half_radii=forecast.half_radii.tolist(),
+            ellipse50_radii=forecast.ellipse50_radii.tolist(),
         )
         return response.model_dump_json()
 
@@ -177,7 +178,7 @@ class StreamedForecast(_Forecast):
             StreamStep(
                 step=index,
                 time_s=index / self._rate,
-                half_radius=forecast.half_radii.item(),
+                ellipse50_radius=forecast.ellipse50_radii.item(),
                 objects=[
                     StreamObject(
                         id=ball.id,

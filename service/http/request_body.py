@@ -88,7 +88,7 @@ async def received(request: Request, limit: int | None = None) -> AsyncGenerator
     most: int = service.settings.max_body_bytes
     most = most if limit is None else min(limit, most)
     with service.bodies.body() as held:
-        seconds = service.settings.receive_timeout_s
+        seconds = service.settings.read_timeout_s
         try:
             async with asyncio.timeout(seconds) as held.timeout:
                 body = await _read(request, most, held)

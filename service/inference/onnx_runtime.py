@@ -21,7 +21,7 @@ from rollcast.manifest import (
 )
 from rollcast.ood import Familiarity
 from rollcast.perception_io import run_perception
-from service.inference.rollout import Arrays, Step
+from rollcast.rollout import Arrays, Step
 from service.settings import keep_runtime_silent
 
 keep_runtime_silent()

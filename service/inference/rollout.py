@@ -1,29 +1,19 @@
-"""The recurrent loop: frames in, a forecast of any horizon out, in 128-pixel units.
+"""What is rolled out, and the forecasts that become of its outputs, in 128-pixel units.
 
 Axes: B requests, N balls, T steps, K frames.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float, UInt8
 
-from rollcast.manifest import GAUSSIAN_HALF_RADIUS, CovarianceSource, Manifest, OutputName
+from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS, CovarianceSource, Manifest, OutputName
 from rollcast.ood import Familiarity
+from rollcast.rollout import Arrays, Step
 from service.errors import DivergedError
-
-Arrays = Mapping[str, np.ndarray]
-Outputs = Mapping[OutputName, np.ndarray]
-
-
-@dataclass(frozen=True)
-class Step:
-    """The state after a step, by name, and the step's outputs, each [B, N, ...]."""
-
-    state: Arrays
-    outputs: Outputs
 
 
 @runtime_checkable
@@ -51,28 +41,6 @@ class Predictor(Protocol):
         ...
 
 
-def roll_out(
-    predictor: Predictor, frames: UInt8[np.ndarray, "B K 128 128 3"], horizon: int
-) -> dict[OutputName, Float32[np.ndarray, "B N T ..."]]:
-    """Forecast the steps 0..horizon-1 of frames, alone."""
-    step = predictor.encode(frames)
-    steps = [step.outputs]
-    for _ in range(1, horizon):
-        step = predictor.advance(step.state)
-        steps.append(step.outputs)
-    return stacked(steps)
-
-
-def stacked(rows: Sequence[Outputs]) -> dict[OutputName, Float32[np.ndarray, "B N T ..."]]:
-    """Stack the outputs of all steps along a new third axis; a final position has no steps."""
-    return {
-        name: rows[0][name]
-        if name == "final_positions"
-        else np.stack([row[name] for row in rows], axis=2)
-        for name in rows[0]
-    }
-
-
 @dataclass(frozen=True)
 class Forecast:
     """A forecast of B requests, with an uncertainty from one source or the other."""
@@ -81,7 +49,7 @@ class Forecast:
     """Pixels."""
     covariances: Float[np.ndarray, "B N T 2 2"]
     """Square pixels."""
-    half_radii: Float[np.ndarray, " T"]
+    ellipse50_radii: Float[np.ndarray, " T"]
     """Standard deviations: of the ellipses that should hold half of the truths."""
     angular_velocities: Float[np.ndarray, "B N T 3"] | None
     """rad/s."""
@@ -102,7 +70,7 @@ class Forecast:
         return Forecast(
             self.positions * length,
             self.covariances * length**2,
-            self.half_radii,
+            self.ellipse50_radii,
             None if turning is None else turning * rate,
             None if final is None else final * length,
         )
@@ -133,7 +101,7 @@ def assemble(
         if covariance.variance_scale is not None:
             scale = np.array(covariance.variance_scale)
             covariances = covariances * scale[_held(steps, len(scale)), None, None]
-    half = np.array(covariance.half_radius or [GAUSSIAN_HALF_RADIUS])
+    half = np.array(covariance.ellipse50_radius or [GAUSSIAN_ELLIPSE50_RADIUS])
     forecast = Forecast(
         positions,
         covariances,

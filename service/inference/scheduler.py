@@ -18,10 +18,10 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 from jaxtyping import UInt8
 
+from rollcast.rollout import Arrays, Outputs
 from service.inference.admission import AdmissionLimit, Gauge
 from service.inference.deadlines import CancellationToken
-from service.inference.rollout import Arrays, Outputs, Predictor
-from service.siblings import Siblings
+from service.inference.rollout import Predictor
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
@@ -203,8 +203,6 @@ class Scheduler:
         Follows the number of requests held.
     batches
         Returns what is told, for every step of a rollout, how many forecasts step together.
-    siblings
-        Other processes with schedulers of their own, whose cores may rest.
     """
 
     def __init__(
@@ -214,12 +212,10 @@ class Scheduler:
         max_batch: int,
         shown: Gauge,
         batches: Callable[[Predictor], Callable[[float], None]],
-        siblings: Siblings | None = None,
     ) -> None:
         self._admission = AdmissionLimit(capacity, shown)
         self._max_batch = max_batch
         self._batches = batches
-        self._siblings = siblings
         self._closed = False
         self._waiting: deque[_Request[Any]] = deque()
         self._rollouts: dict[Predictor, _Rollout] = {}
@@ -297,16 +293,13 @@ class Scheduler:
         if self._waiting and not full:
             room = self._max_batch - max((rollout.rows for rollout in free), default=0)
             members = self._next_waiting(room)
-            two_cores = self._has_idle_peer()
+            two_cores = bool(self._resting)
             return lambda: self._begin(members, two_cores)
         if not free:
             return None
         chosen = (full or free)[0]
         chosen.led = True
         return lambda: self._lead(chosen)
-
-    def _has_idle_peer(self) -> bool:
-        return bool(self._resting) or (self._siblings is not None and self._siblings.one_rests)
 
     def _next_waiting(self, room: int) -> list[_Request[Any]]:
         """Take a thread's share of what waits, under the lock, but not more than there is room."""
@@ -317,7 +310,7 @@ class Scheduler:
     def _begin(self, members: list[_Request[Any]], two_cores: bool) -> None:
         """Encode the frames of some requests, those for one model in one batch.
 
-        While a core rests it helps, so that a request alone is there sooner.
+        While another thread rests its core helps, so that a request alone is there sooner.
         """
         by_model: dict[Predictor, list[tuple[_Request[Any], DecodedRequest]]] = defaultdict(list)
         for member in members:

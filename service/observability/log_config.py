@@ -20,10 +20,11 @@ from service.auth.api_keys import without_tokens
 Count: TypeAlias = Callable[[str, str, int, float], None]
 """Is told a route's path, the method, the status and the seconds of a request."""
 
+LONGEST_PATH = 1000
+"""Characters of a path that a log line shows: a head may hold sixty times as many."""
+
 access = logging.getLogger("service.http.authorization")
 
-MAX_PATH = 200
-"""Characters of a path that the log shows."""
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
 
 
@@ -74,7 +75,7 @@ class AccessLog:
         parts = {
             "client": ":".join(map(str, scope["client"] or ())),
             "method": scope["method"],
-            "path": quote(scope["path"][:MAX_PATH]),
+            "path": quote(scope["path"][:LONGEST_PATH]),
             "status": status,
             "duration_ms": round(1e3 * seconds, 1),
         }

@@ -15,12 +15,14 @@ from prometheus_client.multiprocess import MultiProcessCollector
 from rollcast.schemas import PredictTiming
 from service.inference.rollout import Predictor
 from service.serving.registry import Registry
-from service.settings import metrics_are_shared
+from service.settings import metrics_folder
 
 STAGE_SECONDS = (
     0.0005, 0.001, 0.002, 0.004, 0.006, 0.008, 0.01, 0.015, 0.02, 0.03, 0.05, 0.1, 0.25, 1, 5,
 )  # fmt: skip
 BATCHES = (1, 2, 4, 8, 16, 32)
+METHODS = frozenset({"DELETE", "GET", "HEAD", "OPTIONS", "PATCH", "POST", "PUT"})
+"""Methods with labels of their own: clients may send dozens of others."""
 PATH = "/metrics"
 """Where they are read; who reads them is not counted."""
 
@@ -33,13 +35,15 @@ class Metrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
-        self.held = Gauge(
-            "rollcast_held",
-            "Requests that are computed or wait for it, by what computes them",
-            ["workers"],
+        self.in_flight = Gauge(
+            "rollcast_requests_in_flight",
+            "Requests being computed or queued, by pool",
+            ["pool"],
             registry=self.registry,
             multiprocess_mode="livesum",
         )
+        for pool in ("inference", "simulation"):
+            self.in_flight.labels(pool).set(0)  # a process that was replaced may have left its own
         self._stages = Histogram(
             "rollcast_stage_seconds",
             "Time of one stage of a forecast",
@@ -54,12 +58,9 @@ class Metrics:
             registry=self.registry,
             buckets=BATCHES,
         )
-        self._refused = Counter(
-            "rollcast_refused", "Refused requests", ["problem"], registry=self.registry
+        self._rejected = Counter(
+            "rollcast_rejected_requests", "Rejected requests", ["reason"], registry=self.registry
         )
-        # Files in which several processes count, one a kind of figure, are opened at the start:
-        # with the first request there might be no room for them.
-        self._refused.labels("queue-full")
         names = ["handler", "method"]
         self._requests = Counter(
             "http_requests", "Answered requests", [*names, "status"], registry=self.registry
@@ -101,18 +102,19 @@ class Metrics:
 
     def refusal(self, problem: str) -> None:
         """Count a refused request by the last part of its problem's type."""
-        self._refused.labels(problem).inc()
+        self._rejected.labels(problem).inc()
 
     def models(self, registry: Registry) -> None:
         """Count the models that there are, and have figures for those that are served."""
         for predictor in registry.served:
             self.batches(predictor)
-        for status in ("ready", "refused", "unloaded"):
+        for status in ("ready", "invalid", "unloaded"):
             found = sum(model.status == status for model in registry.models)
             self._models.labels(status).set(found)
 
     def request(self, route: str, method: str, status: int, seconds: float) -> None:
         """Count and time a request by the template of its path."""
+        method = method if method in METHODS else "other"
         if route != PATH:
             self._requests.labels(route, method, str(status)).inc()
             self._durations.labels(route, method).observe(seconds)
@@ -120,7 +122,7 @@ class Metrics:
     def text(self) -> bytes:
         """Return all figures in Prometheus' text format."""
         registry = self.registry
-        if metrics_are_shared():
+        if metrics_folder() is not None:
             registry = CollectorRegistry()
             MultiProcessCollector(registry)
         return generate_latest(registry)

@@ -33,8 +33,6 @@ class Connection(HttpToolsProtocol):
     stopping
         Whether the service has been told to stop: a client that then kept its connection would send
         its next request into one that is being closed.
-    ended
-        Called when it has ended.
     """
 
     def __init__(
@@ -46,13 +44,11 @@ class Connection(HttpToolsProtocol):
         *,
         settings: Settings,
         stopping: Callable[[], bool],
-        ended: Callable[[], None],
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
-        self._ended = ended
         self._stopping = stopping
-        self._receive_s = settings.receive_timeout_s
-        self._send_s = settings.send_timeout_s
+        self._receive_s = settings.read_timeout_s
+        self._send_s = settings.write_timeout_s
         self._interval = min(self._receive_s, self._send_s) / LOOKS
         self._look_again: asyncio.TimerHandle | None = None
         self._awaited_since: float | None = None
@@ -72,7 +68,6 @@ class Connection(HttpToolsProtocol):
         if self._look_again is not None:
             self._look_again.cancel()
         super().connection_lost(exc)
-        self._ended()
 
     def data_received(self, data: bytes) -> None:
         """Read; empty lines between two requests begin one too."""

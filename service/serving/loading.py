@@ -23,8 +23,9 @@ from rollcast.manifest import (
     MANIFEST_FILE,
     Manifest,
 )
+from rollcast.rollout import roll_out
 from service.inference.onnx_runtime import OnnxPredictor
-from service.inference.rollout import Predictor, roll_out
+from service.inference.rollout import Predictor
 from service.serving.registry import Model, Registry
 
 PredictorFactory = Callable[[Path, Manifest], Predictor]
@@ -48,7 +49,6 @@ def load_registry(
     models_dir: Path,
     name: str | None = None,
     open_predictor: PredictorFactory = OnnxPredictor,
-    proves: tuple[int, int] = (0, 1),
 ) -> Registry:
     """Load every ``NAME/VERSION`` under a folder; one that is refused does not stop the others.
 
@@ -60,37 +60,35 @@ def load_registry(
         Only versions of this model; None loads all.
     open_predictor
         Opens the graphs of one artefact.
-    proves
-        Which artefacts have to compute their golden values: of so many processes that load the
-        same, those of the n-th.
     """
-    folders = sorted(path for path in models_dir.glob("*/*") if _is_version(path))
-    folders = [folder for folder in folders if name in (None, folder.parent.name)]
+    folders = [folder for folder in _folders(models_dir) if name in (None, folder.parent.name)]
     wanted = [folder for folder in folders if folder.name == str(int(folder.name))]
     misnamed = [_misnamed(folder) for folder in folders if folder not in wanted]
     # Those that take longest first, so that no core is left with one of them in the end.
     wanted.sort(key=_size_of_encoder, reverse=True)
     # One name is loaded again while others answer: it takes a single core from them.
     with ThreadPoolExecutor(cpu_count() if name is None else 1) as pool:
-        place, processes = proves
-        proved = [index % processes == place for index in range(len(wanted))]
-        load = partial(_load, open_predictor=open_predictor)
-        models = list(pool.map(load, wanted, proved))
+        models = list(pool.map(partial(_load, open_predictor=open_predictor), wanted))
     labels = {model.label for model in models}
     # Beside the version itself, which goes on being served, the log alone tells of them.
     return Registry([*models, *(model for model in misnamed if model.label not in labels)])
 
 
-def begin_loading(models_dir: Path, proves: tuple[int, int]) -> Loader:
+def model_names(models_dir: Path) -> set[str]:
+    """Return the names of all models that a folder holds a version of."""
+    return {folder.parent.name for folder in _folders(models_dir)}
+
+
+def begin_loading(models_dir: Path) -> Loader:
     """Begin to load the models of a folder in a thread; return a loader that hands them over.
 
-    Its later calls load anew, and prove all that they load.
+    Its later calls load anew.
     """
     begun: list[Future[Registry]] = [Future()]
 
     def fulfil(future: Future[Registry]) -> None:
         try:
-            future.set_result(load_registry(models_dir, proves=proves))
+            future.set_result(load_registry(models_dir))
         except BaseException as error:  # is raised where the models are asked for
             future.set_exception(error)
 
@@ -100,6 +98,10 @@ def begin_loading(models_dir: Path, proves: tuple[int, int]) -> Loader:
     # A process that is stopped meanwhile need not wait for it.
     Thread(target=fulfil, args=begun, name="loading", daemon=True).start()
     return load
+
+
+def _folders(models_dir: Path) -> list[Path]:
+    return sorted(path for path in models_dir.glob("*/*") if _is_version(path))
 
 
 def _is_version(folder: Path) -> bool:
@@ -119,21 +121,28 @@ def _size_of_encoder(folder: Path) -> int:
     return path.stat().st_size if path.is_file() else 0
 
 
-def _load(folder: Path, proved: bool, open_predictor: PredictorFactory) -> Model:
+def _load(folder: Path, open_predictor: PredictorFactory) -> Model:
     name, version = folder.parent.name, int(folder.name)
     manifest = card = None
     try:
+        _check_files(folder)
         manifest = _read_manifest(folder)
         _check_hashes(folder, manifest)
         card = (folder / CARD_FILE).read_text(encoding="utf-8")
         predictor = open_predictor(folder, manifest)
-        if proved:
-            _check_golden(predictor, folder / GOLDEN_FILE)
+        _check_golden(predictor, folder / GOLDEN_FILE)
     except Exception as error:  # whatever a damaged file makes a library raise, the rest is served
         reason = str(error) if isinstance(error, ArtefactError) else f"cannot be loaded: {error}"
         log.warning("%s@%s is refused: %s", name, version, reason)
         return Model(name, version, manifest, reason=reason, card=card)
     return Model(name, version, manifest, predictor, card=card)
+
+
+def _check_files(folder: Path) -> None:
+    """Refuse what a read may wait for without end, such as a pipe."""
+    for path in sorted(folder.iterdir()):
+        if path.exists() and not path.is_file():
+            raise ArtefactError(f"{path.name} is not a regular file")
 
 
 def _read_manifest(folder: Path) -> Manifest:

@@ -1,6 +1,6 @@
 """The models that are there: chosen by name or by "auto"."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -37,11 +37,11 @@ class Model:
         return f"{self.name}@{self.version}"
 
     @property
-    def status(self) -> Literal["ready", "refused", "unloaded"]:
+    def status(self) -> Literal["ready", "invalid", "unloaded"]:
         """Whether it is served."""
         if self.predictor is not None:
             return "ready"
-        return "unloaded" if self.reason is None else "refused"
+        return "unloaded" if self.reason is None else "invalid"
 
     @property
     def is_default(self) -> bool:
@@ -86,22 +86,6 @@ class Registry:
         """
         unloaded = [replace(m, predictor=None, reason=None) for m in self.versions(name)]
         return self.updated(name, unloaded)
-
-    def refusing(self, reasons: Mapping[str, str]) -> "Registry":
-        """Return the registry with some models refused, told by NAME@VERSION."""
-        return Registry(
-            [
-                replace(model, predictor=None, reason=reasons[model.label])
-                if model.label in reasons
-                else model
-                for model in self.models
-            ]
-        )
-
-    @property
-    def refused(self) -> dict[str, str]:
-        """Why models are refused, by NAME@VERSION."""
-        return {model.label: model.reason for model in self.models if model.reason is not None}
 
     def updated(self, name: str, versions: Sequence[Model]) -> "Registry":
         """Return the registry with other versions of a name."""
@@ -179,7 +163,7 @@ class Registry:
         return predictor
 
     def _choose_best(self, query: ModelQuery) -> Predictor:
-        """Apply the design's rule for "auto" to the default versions.
+        """Apply the rule for "auto" (decision 0106) to the default versions.
 
         A model for footage knows one set-up alone, so it is chosen where footage is asked for, or
         where nothing else forecasts so many balls (decision 0129).

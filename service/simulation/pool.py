@@ -157,7 +157,7 @@ class RecycledProcess:
         self._recycle_after = recycle_after
         self._timeout_s = timeout_s
         self._calls = 0
-        self._process = _new_process()
+        self._process: ProcessPoolExecutor | None = None
 
     def submit(
         self, abandoned: Future[None], call: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs
@@ -173,7 +173,7 @@ class RecycledProcess:
     def close(self) -> None:
         """Drop waiting calls and kill the process with the running one."""
         self._thread.shutdown(wait=False, cancel_futures=True)
-        _kill(self._process)
+        self._discard()
         self._thread.shutdown()
 
     def _run(
@@ -182,14 +182,14 @@ class RecycledProcess:
         try:
             future = self._handed_over(call, *args, **kwargs)
         except (OSError, RuntimeError) as error:
-            self._calls = self._recycle_after  # the next call begins with a new one
+            self._discard()
             raise BrokenProcessPool("No process can be started.") from error
         ends: list[Future[Any]] = [future, abandoned]
         wait(ends, self._timeout_s, FIRST_COMPLETED)
         if abandoned.done():
             wait([future], ABANDONED_S)
         if not future.done():
-            self._replace()
+            self._discard()
             if abandoned.done():
                 raise CancelledError
             raise DeadlineExceededError(
@@ -199,18 +199,24 @@ class RecycledProcess:
 
     def _handed_over(self, call: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         if self._calls == self._recycle_after:
-            self._replace()
-        self._calls += 1
+            self._discard()
         try:
-            return self._process.submit(call, *args, **kwargs)
+            return self._started().submit(call, *args, **kwargs)
         except BrokenProcessPool:
-            self._replace()
-            return self._process.submit(call, *args, **kwargs)
+            self._discard()
+            return self._started().submit(call, *args, **kwargs)
 
-    def _replace(self) -> None:
-        before, self._process = self._process, _new_process()
-        _kill(before)
-        self._calls = 0
+    def _started(self) -> ProcessPoolExecutor:
+        # Its semaphores need room in shared memory: without it, calls fail and not the service.
+        if self._process is None:
+            self._process, self._calls = _new_process(), 0
+        self._calls += 1
+        return self._process
+
+    def _discard(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            _kill(process)
 
 
 def _kill(pool: ProcessPoolExecutor) -> None:

@@ -17,6 +17,7 @@ import httpx2
 import numpy as np
 import psutil
 
+from rollcast import markdown
 from tests.bench.harness import Heard, asked, service
 from tests.bench.loop import CORES, MAX_BATCH, MODEL, ROOT
 from tests.bench.payloads import Kind, frames, payload
@@ -93,10 +94,11 @@ def measure(rounds: int, seconds: float) -> list[Load]:
 
 def rows(loads: list[Load]) -> list[str]:
     """Markdown table: a line a framework and number of connections."""
-    lines = [
-        "| framework | connections | answers | rounds | p99 | rounds | ahead | failures | ours |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
+    head = (
+        "framework", "connections", "answers", "rounds", "p99", "rounds", "ahead", "failures",
+        "ours",
+    )  # fmt: skip
+    lines = [markdown.header(head)]
     for name, connections in dict.fromkeys((load.name, load.connections) for load in loads):
         of_both = [load for load in loads if (load.name, load.connections) == (name, connections)]
         rates = [load.theirs.rate / load.ours.rate for load in of_both]
@@ -104,16 +106,15 @@ def rows(loads: list[Load]) -> list[str]:
         ahead = np.median(rates) < 1 < np.median(p99s)
         failures = sum(load.theirs.failures for load in of_both)
         our_failures = sum(load.ours.failures for load in of_both)
-        lines.append(
-            f"| {name} | {connections} | {_spread(rates)} | {_spread(p99s)} "
-            f"| {'yes' if ahead else '**no**'} | {failures} | {our_failures} |"
-        )
+        said = "yes" if ahead else "**no**"
+        cells = (*_spread(rates), *_spread(p99s), said, failures, our_failures)
+        lines.append(markdown.row((name, connections, *cells)))
     return lines
 
 
-def _spread(ratios: list[float]) -> str:
+def _spread(ratios: list[float]) -> tuple[str, str]:
     """Two cells: the median, then the smallest and the largest."""
-    return f"{np.median(ratios):.2f} | {min(ratios):.2f} .. {max(ratios):.2f}"
+    return f"{np.median(ratios):.2f}", f"{min(ratios):.2f} .. {max(ratios):.2f}"
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from matplotlib.figure import Figure
 
+from rollcast import markdown
 from tests.bench.harness import side_by_side
 from tests.bench.loop import CORES, BareLoop
 from tests.bench.payloads import frames
@@ -52,13 +53,12 @@ def measure(seconds: float) -> list[Cost]:
 
 def rows(costs: list[Cost]) -> list[str]:
     """Markdown table: a line for every graph and number of processes."""
-    lines = [f"| graph | processes | {' | '.join(map(str, BATCHES))} |"]
-    lines.append("|---" * (len(BATCHES) + 2) + "|")
+    lines = [markdown.header(("graph", "processes", *BATCHES))]
     for graph in GRAPHS:
         for processes in sorted({cost.processes for cost in costs}):
             wanted = [c for c in costs if (c.graph, c.processes) == (graph, processes)]
-            cells = " | ".join(f"{cost.ms:.3g}" for cost in wanted)
-            lines.append(f"| {graph} | {processes} | {cells} |")
+            cells = [f"{cost.ms:.3g}" for cost in wanted]
+            lines.append(markdown.row((graph, processes, *cells)))
     return lines
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import psutil
 
+from rollcast import markdown
 from rollcast.client import Client
 from tests.bench.load import Times
 from tests.bench.loop import ROOT
@@ -34,7 +35,7 @@ class Finding:
         middle = float(np.median(self.rounds))
         spread = f"{min(self.rounds):.2f} .. {max(self.rounds):.2f}"
         kept = "yes" if self.kept(middle) else "**no**"
-        return f"| {self.what} | {middle:.2f} {self.unit} | {spread} | {self.promise} | {kept} |"
+        return markdown.row((self.what, f"{middle:.2f} {self.unit}", spread, self.promise, kept))
 
 
 @contextmanager
@@ -49,11 +50,12 @@ def service(**settings: str) -> Iterator[tuple[str, psutil.Process]]:
 
 
 def answering(process: psutil.Process) -> list[psutil.Process]:
-    """The processes of a service that answer: those that it has started for that, or itself."""
+    """The processes of a service that accept connections: its worker processes, or itself."""
     found: list[psutil.Process] = []
     for child in process.children():
-        with suppress(psutil.NoSuchProcess):  # one that has just died has no command line
-            found += [child] if child.cmdline() == process.cmdline() else []
+        with suppress(psutil.NoSuchProcess):  # one that has just died has no connections
+            listens = any(one.status == "LISTEN" for one in child.net_connections("tcp"))
+            found += [child] if listens else []
     return found or [process]
 
 

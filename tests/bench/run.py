@@ -8,6 +8,7 @@ cores, one after the other.
 
 import argparse
 
+from rollcast import markdown
 from tests.bench import comparison, curve, measures
 from tests.bench.harness import service
 from tests.bench.loop import CORES, MODEL, ROOT
@@ -36,7 +37,7 @@ def main() -> None:
         findings += measures.reload(address, 4 * given.seconds)
         findings += measures.memory(address, process, given.requests)
     findings += measures.overload(1, 60)
-    table = ["| what | median | rounds | promised | kept |", "|---|---|---|---|---|"]
+    table = [markdown.header(("what", "median", "rounds", "promised", "kept"))]
     table += [finding.row() for finding in findings]
     costs = curve.measure(given.seconds)
     curve.draw(costs, PICTURE)

@@ -123,7 +123,7 @@ def test_a_dropped_video(page: Page, scene: Simulation, clips, rate: int, within
 
 
 @pytest.fixture(scope="module")
-def rigs(tmp_path_factory) -> Iterator[str]:
+def setups(tmp_path_factory) -> Iterator[str]:
     """A service with a committed model that passes for one of a set-up, and as itself."""
     folder = tmp_path_factory.mktemp("models")
     shutil.copytree(ROOT / "models" / "fieldnet" / "1", folder / "fieldnet" / "1")
@@ -132,16 +132,16 @@ def rigs(tmp_path_factory) -> Iterator[str]:
         shutil.copytree(ROOT / "models" / "fieldnet" / "1", folder / name / "1")
         file = folder / name / "1" / "manifest.json"
         told = json.loads(file.read_text())
-        told |= {"name": name, "scenarios": ["footage"], "frame_rate_hz": rate, "rig": about}
+        told |= {"name": name, "scenarios": ["footage"], "frame_rate_hz": rate, "setup": about}
         file.write_text(json.dumps(told))
     with serving(ROLLCAST_MODELS_DIR=str(folder)) as address:
         yield address
 
 
 def test_the_model_of_a_set_up_says_how_it_is_filmed(
-    open_page: OpenPage, rigs: str, scene: Simulation, clips
+    open_page: OpenPage, setups: str, scene: Simulation, clips
 ):
-    page = open_page(rigs)
+    page = open_page(setups)
     until_forecast(page)
     expect(page.locator("#models")).not_to_contain_text("table")
     drop(page, clips[40])

@@ -14,6 +14,7 @@ from statistics import median
 import httpx2
 import psutil
 
+from rollcast import markdown
 from tests.bench.harness import Heard, asked, service
 from tests.bench.loop import CORES, HORIZON, MODEL, ROOT
 from tests.bench.payloads import Kind, frames, payload
@@ -166,13 +167,21 @@ def fault_lines(faults: Faults) -> list[str]:
         "answer is the checkout's within "
         f"{max(phase.largest_difference_px for phase in faults.phases):.1g} px.",
         "",
-        "| meanwhile | answers | p50, ms | p99, ms | longest, ms | versions that answered |",
-        "|---|---|---|---|---|---|",
+        markdown.header(
+            (
+                "meanwhile",
+                "answers",
+                "p50, ms",
+                "p99, ms",
+                "longest, ms",
+                "versions that answered",
+            )
+        ),
     ]
     for phase in faults.phases:
         versions = ", ".join(map(str, sorted({one.version for one in phase.answers})))
-        quantiles = " | ".join(f"{phase.quantile_ms(share):.0f}" for share in (0.5, 0.99, 1))
-        lines.append(f"| {phase.name} | {len(phase.answers)} | {quantiles} | {versions} |")
+        quantiles = [f"{phase.quantile_ms(share):.0f}" for share in (0.5, 0.99, 1)]
+        lines.append(markdown.row((phase.name, len(phase.answers), *quantiles, versions)))
     return [*lines, ""]
 
 
@@ -185,12 +194,11 @@ def spread_lines(spreads: list[Spread], rounds: int) -> list[str]:
         "relative to the service alone,",
         f"which was asked in turn; medians of {rounds} rounds.",
         "",
-        "| nodes | binary tensors | JSON with PNG files | one at a time |",
-        "|---|---|---|---|",
+        markdown.header(("nodes", "binary tensors", "JSON with PNG files", "one at a time")),
     ]
     for one in spreads:
-        rates = " | ".join(f"{one.rates[kind]:.2f}" for kind in KINDS)
-        lines.append(f"| {one.nodes} | {rates} | {one.single:.2f} |")
+        rates = [f"{one.rates[kind]:.2f}" for kind in KINDS]
+        lines.append(markdown.row((one.nodes, *rates, f"{one.single:.2f}")))
     return [*lines, "", f"{sum(one.failures for one in spreads)} answers were not 200.", ""]
 
 
@@ -205,17 +213,25 @@ def plan_lines(costs: dict[Kind, Cost], spread: Spread, start_s: float) -> list[
         "milliseconds of a stage are those",
         "that a request waits for, often together with others.",
         "",
-        "| body | core-ms | decode | encode | rollout | request, bytes | cores, all busy | "
-        "network in, Gbit/s |",
-        "|---|---|---|---|---|---|---|---|",
+        markdown.header(
+            (
+                "body",
+                "core-ms",
+                "decode",
+                "encode",
+                "rollout",
+                "request, bytes",
+                "cores, all busy",
+                "network in, Gbit/s",
+            )
+        ),
     ]
     for kind, one in costs.items():
-        stages = " | ".join(f"{one.stages_ms[stage]:.2f}" for stage in STAGES)
+        stages = [f"{one.stages_ms[stage]:.2f}" for stage in STAGES]
         size = sizes[kind]
-        lines.append(
-            f"| {kind} | {one.core_ms:.2f} | {stages} | {size:,} | "
-            f"{plan.RATE * one.core_ms / 1e3:,.0f} | {plan.RATE * size * 8 / 1e9:,.0f} |"
-        )
+        cores, network = plan.RATE * one.core_ms / 1e3, plan.RATE * size * 8 / 1e9
+        cells = (f"{one.core_ms:.2f}", *stages, f"{size:,}", f"{cores:,.0f}", f"{network:,.0f}")
+        lines.append(markdown.row((kind, *cells)))
     encoded = costs["json"]
     decode_ms = encoded.stages_ms["decode"]
     kept = spread.rates["json"]
@@ -240,14 +256,22 @@ def plan_lines(costs: dict[Kind, Cost], spread: Spread, start_s: float) -> list[
         f"{plan.UPSCALE_DELAY_S} s and sees the last {plan.LOOK_BACK_S}; what would wait for more "
         f"than {plan.WAITING_S:g} s is refused.",
         "",
-        "| cores' time that is used | cores | $ an hour | refused of all | longest wait, s |",
-        "|---|---|---|---|---|",
+        markdown.header(
+            (
+                "cores' time that is used",
+                "cores",
+                "$ an hour",
+                "refused of all",
+                "longest wait, s",
+            )
+        ),
     ]
     for fleet in fleets:
         cores = fleet.replicas[0]
+        cost = cores * plan.CORE_HOUR_USD
+        refused, wait = f"{fleet.lost:.1%}", f"{fleet.wait_s.max():.2f}"
         lines.append(
-            f"| {fleet.load:.0%} | {cores:,.0f} | {cores * plan.CORE_HOUR_USD:,.0f} | "
-            f"{fleet.lost:.1%} | {fleet.wait_s.max():.2f} |"
+            markdown.row((f"{fleet.load:.0%}", f"{cores:,.0f}", f"{cost:,.0f}", refused, wait))
         )
     return [
         *lines,

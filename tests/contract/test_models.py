@@ -7,8 +7,9 @@ import pytest
 
 from rollcast.manifest import FRAMES_INPUT, GOLDEN_FILE, MANIFEST_FILE, Manifest
 from rollcast.ood import frame_stats
+from rollcast.rollout import Step, roll_out
 from service.inference.onnx_runtime import OnnxPredictor
-from service.inference.rollout import Step, assemble, roll_out
+from service.inference.rollout import assemble
 from service.settings import Settings
 
 FOLDERS = sorted(path.parent for path in Settings().models_dir.glob("*/*/manifest.json"))

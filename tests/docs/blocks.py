@@ -36,19 +36,26 @@ NOT_RUN = {
         "research.md",
         "python -m training evaluate --all        # docs/results: tables, curves, ellipses",
     ): HOURS,
+    ("research.md", "python -m training train tiny"): SERVER,
     ("research.md", "python -m training train field-one-ball"): HOURS,
     (
-        "rig.md",
-        "rollcast track rig/clip1.mp4 rig/clip2.mp4 rig/clip3.mp4 --balls 2 --out rig",
+        "setup.md",
+        "rollcast track setup/clip1.mp4 setup/clip2.mp4 setup/clip3.mp4 --balls 2 --out setup",
     ): TRACKS,
-    ("rig.md", "python -m training train rig-2-balls --data rig --init models/fieldnet-2/1"): HOURS,
     (
-        "rig.md",
-        "python -m training train rig-2-balls-seeing --data rig --init runs/rig-2-balls",
+        "setup.md",
+        "python -m training train setup-2-balls --data setup --init models/fieldnet-2/1",
     ): HOURS,
-    ("rig.md", "python -m training rig rig-2-balls-continued --data rig"): HOURS,
-    ("rig.md", "rollcast predict clip3.mp4 --start 2 --model table --out forecast.mp4"): TRAINED,
-    ("rig.md", "from rollcast.client import Client"): TRAINED,
+    (
+        "setup.md",
+        "python -m training train setup-2-balls-seeing --data setup --init runs/setup-2-balls",
+    ): HOURS,
+    ("setup.md", "python -m training setup setup-2-balls-continued --data setup"): HOURS,
+    ("setup.md", "rollcast predict clip3.mp4 --start 2 --model table --out forecast.mp4"): TRAINED,
+    (
+        "setup.md",
+        "from rollcast.client import Client",
+    ): TRAINED,
 }
 """By page and first line. Nothing else is left out."""
 

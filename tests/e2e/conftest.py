@@ -23,12 +23,13 @@ SERVICE_PYTHON = ROOT / ".venv/service/bin/python"
 def start_service(
     log: IO[str] | int = subprocess.DEVNULL,
     command: Sequence[str | Path] = (SERVICE_PYTHON, "-m", "service"),
+    prefix: Sequence[str] = (),
     **settings: str,
 ) -> tuple[subprocess.Popen[str], str]:
-    """Start the service on a free port; return the process and its address."""
+    """Start the service on a free port, behind a command that runs it; return process, address."""
     variables = [f"{name}={value}" for name, value in settings.items()]
     process = subprocess.Popen(
-        ["env", *variables, *command, "--port", "0"],
+        [*prefix, "env", *variables, *command, "--port", "0"],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=log,
@@ -62,7 +63,9 @@ def wait_until_ready(client: Client) -> None:
 def held(address: str) -> int:
     """Forecasts that run or wait."""
     text = httpx2.get(f"{address}/metrics").text
-    found = re.search(r'^rollcast_held\{workers="inference"\} (\S+)', text, re.MULTILINE)
+    found = re.search(
+        r'^rollcast_requests_in_flight\{workers="inference"\} (\S+)', text, re.MULTILINE
+    )
     assert found
     return int(float(found.group(1)))
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from rollcast import markdown
 from rollcast.camera import camera_for
 from rollcast.client import Client
 from rollcast.footage import Footage, SquareCrop
@@ -86,14 +87,13 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=60)
     parser.add_argument("--rates", type=float, nargs="+", default=[24, 25, 30, 50, 60])
     given = parser.parse_args()
-    print(f"| scenario | rate | {' | '.join(WAYS)} |")
-    print("|---" * (2 + len(WAYS)) + "|")
+    print(markdown.header(("scenario", "rate", *WAYS)))
     with Client(given.address) as client:
         for scenario in SCENARIOS:
             for rate in given.rates:
                 found = errors(client, scenario, rate, given.scenes)
-                cells = " | ".join(f"{found[way]:.1f}" for way in WAYS)
-                print(f"| {scenario} | {rate:g} | {cells} |", flush=True)
+                cells = [f"{found[way]:.1f}" for way in WAYS]
+                print(markdown.row((scenario, f"{rate:g}", *cells)), flush=True)
 
 
 if __name__ == "__main__":

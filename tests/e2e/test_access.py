@@ -122,8 +122,8 @@ def test_a_network_is_not_served_without_keys_unless_told_so(tmp_path):
     assert refused.returncode == 1
     assert line.startswith("rollcast: will not listen on 0.0.0.0 without API keys")
     assert "ROLLCAST_KEYS_FILE=" in line
-    assert "ROLLCAST_ANONYMOUS=true" in line
-    for settings in ({"ROLLCAST_KEYS_FILE": str(file)}, {"ROLLCAST_ANONYMOUS": "true"}):
+    assert "ROLLCAST_ALLOW_UNAUTHENTICATED=true" in line
+    for settings in ({"ROLLCAST_KEYS_FILE": str(file)}, {"ROLLCAST_ALLOW_UNAUTHENTICATED": "true"}):
         told = said("--host", "0.0.0.0", **settings)
         assert told.stdout is not None
         assert told.stdout.readline().startswith("Rollcast listens on http://0.0.0.0:")

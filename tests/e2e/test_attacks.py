@@ -244,7 +244,7 @@ def started(models: Path) -> Iterator[Service]:
         ROLLCAST_PROCESSES="1",
         ROLLCAST_LOG_REQUESTS="false",
         ROLLCAST_MAX_TOTAL_BODY_BYTES=str(BUDGET),
-        ROLLCAST_STOP_TIMEOUT_S=str(STOP_TIMEOUT_S),
+        ROLLCAST_GRACEFUL_SHUTDOWN_TIMEOUT_S=str(STOP_TIMEOUT_S),
     )
     try:
         with Client(address) as client:

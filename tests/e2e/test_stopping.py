@@ -38,7 +38,7 @@ def test_it_stops_when_it_is_told_to(order):
 
 
 def test_what_was_accepted_is_answered_before_it_stops():
-    process, address = start_service()
+    process, address = start_service(ROLLCAST_GRACEFUL_SHUTDOWN_TIMEOUT_S="300")
     requests = 12
 
     def forecast(frames: np.ndarray) -> int:
@@ -62,7 +62,7 @@ def test_what_was_accepted_is_answered_before_it_stops():
 
 
 def test_nothing_new_is_begun_while_it_drains():
-    process, address = start_service(ROLLCAST_DRAIN_S="2")
+    process, address = start_service(ROLLCAST_SHUTDOWN_DELAY_S="2")
     with Client(address, retries=0) as client:
         wait_until_ready(client)
         frames = client.simulate("hemisphere", seed=1, steps=4).frames

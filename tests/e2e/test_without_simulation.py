@@ -9,7 +9,7 @@ import pytest
 
 from rollcast.camera import camera_for
 from rollcast.client import Client
-from rollcast.errors import ServiceFailedError
+from rollcast.errors import ServerError
 from rollcast.simulation import Simulator
 from rollcast.trajectory import FIRST_FORECAST_FRAME
 from tests.e2e.conftest import ROOT, SERVICE_PYTHON, start_service, stop_service, wait_until_ready
@@ -65,7 +65,7 @@ def test_it_forecasts(address, scene):
 
 def test_it_says_what_simulations_need_and_goes_on(address, scene):
     with Client(address, retries=0) as client:
-        with pytest.raises(ServiceFailedError) as caught:
+        with pytest.raises(ServerError) as caught:
             client.simulate("hemisphere", seed=7)
         assert client.health().status == "ready"
         assert client.predict(scene.render(128)[:4], horizon=1).positions.shape == (1, 1, 2)

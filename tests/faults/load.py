@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import aiohttp
 
+from rollcast import markdown
 from tests.bench.payloads import KINDS, Payload, frames, payload, simulation
 
 CONNECTIONS = 4
@@ -40,16 +41,21 @@ class Report:
         """Markdown."""
         others = ", ".join(f"{n} x {end}" for end, n in sorted(self.ends.items()) if end != "200")
         slowest = f"{max(self.ready_after_s):.2f} s" if self.ready_after_s else "-"
-        return (
-            f"| {self.fault} | {len(self.ready_after_s)} | {self.ends.total()} | "
-            f"{self.ends['200']} | {others or 'none'} | {slowest} | "
-            f"{'yes' if self.well else '**no**'} |"
+        return markdown.row(
+            (
+                self.fault,
+                len(self.ready_after_s),
+                self.ends.total(),
+                self.ends["200"],
+                others or "none",
+                slowest,
+                "yes" if self.well else "**no**",
+            )
         )
 
 
-HEADER = (
-    "| fault | times | requests | answered | other ends | ready after, at most | as promised |\n"
-    "|---|---|---|---|---|---|---|"
+HEADER = markdown.header(
+    ("fault", "times", "requests", "answered", "other ends", "ready after, at most", "as promised")
 )
 
 

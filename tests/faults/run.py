@@ -23,6 +23,7 @@ from urllib.parse import urlsplit
 import httpx2
 import psutil
 
+from rollcast import markdown
 from rollcast.client import Client
 from rollcast.manifest import ENCODER_FILE, STEP_FILE
 from tests.bench.harness import answering, service
@@ -46,9 +47,9 @@ class SkippedError(Exception):
 
 
 async def killed_process(report: Report, times: int) -> None:
-    """kill -9 of one of the processes that answer: its connections end, the others go on."""
+    """kill -9 of one of two workers: its connections end, the other one continues."""
     report.expected = LOST | CLOSED
-    with service() as (address, process):
+    with service(ROLLCAST_PROCESSES="2") as (address, process):
         load = Load(address, report)
         async with load.running():
             for _ in range(times):
@@ -196,7 +197,7 @@ STEPS = ("+1h", "-1h", "+1d", "-1d", "+10y", "-10y", "+0")
 async def no_descriptors(report: Report, times: int) -> None:
     """Idle connections take every descriptor that the process may have, simulations one too."""
     report.expected = CLOSED | LOST
-    with service(ROLLCAST_RECEIVE_TIMEOUT_S="2") as (address, process):
+    with service(ROLLCAST_READ_TIMEOUT_S="2") as (address, process):
         load = Load(address, report)
         async with load.running():
             for _ in range(times):
@@ -237,7 +238,7 @@ async def no_memory(report: Report, times: int) -> None:
 
 async def deaf_clients(report: Report, times: int) -> None:
     """Clients ask for long answers and never read them; they are given up, and their memory."""
-    with service(ROLLCAST_SEND_TIMEOUT_S="2") as (address, process):
+    with service(ROLLCAST_WRITE_TIMEOUT_S="2") as (address, process):
         load = Load(address, report)
         async with load.running():
             await asyncio.sleep(3)
@@ -256,7 +257,7 @@ async def deaf_clients(report: Report, times: int) -> None:
 
 async def slow_senders(report: Report, times: int) -> None:
     """Clients send a byte a second; they are given up."""
-    with service(ROLLCAST_RECEIVE_TIMEOUT_S="2") as (address, process):
+    with service(ROLLCAST_READ_TIMEOUT_S="2") as (address, process):
         load = Load(address, report)
         async with load.running():
             await asyncio.sleep(3)
@@ -386,7 +387,7 @@ def fill(disk: Path) -> None:
 
 
 FAULTS: dict[str, tuple[Fault, int]] = {
-    "kill -9 of one of the processes that answer": (killed_process, 5),
+    "kill -9 of one of two workers": (killed_process, 5),
     "kill -9 of the process that simulates": (killed_simulation, 10),
     "SIGTERM": (told_to_stop, 3),
     "full disk": (full_disk, 5),
@@ -412,7 +413,7 @@ def main() -> int:
         try:
             asyncio.run(fault(report, times))
         except SkippedError as error:
-            print(f"| {name} | - | - | - | not tried: {error} | - | - |", flush=True)
+            print(markdown.row((name, *"---", f"not tried: {error}", *"--")), flush=True)
             continue
         print(report.row(), flush=True)
         well = well and report.well

@@ -50,7 +50,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "keys.json"
         token = new_token()
-        key = Key(name="all", sha256=digest(token), rights=("forecast", "manage", "metrics"))
+        key = Key(name="all", sha256=digest(token), scopes=("forecast", "manage", "metrics"))
         KeyFile(keys=(key,)).write(file)
         open_to_all = well(given.examples)
         guarded = well(given.examples, token, ROLLCAST_KEYS_FILE=str(file))

@@ -12,6 +12,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from rollcast import markdown
+
 ROOT = Path(__file__).resolve().parents[2]
 EXECUTIONS = {
     "manifest": 500_000,
@@ -40,11 +42,9 @@ def fuzz(target: str, executions: int, folder: Path) -> bool:
     memory = [mib for _, mib in json.loads((home / "memory.json").read_text())]
     early = memory[len(memory) // 4]
     well = ended.returncode == 0 and done and memory[-1] - early <= ALLOWED_GROWTH_MIB
-    print(
-        f"| {target} | {runs} | {seconds} s | {covered} | {early:.0f} -> {memory[-1]:.0f} MiB | "
-        f"{'none' if well else f'FAILED: {home}/log'} |",
-        flush=True,
-    )
+    growth = f"{early:.0f} -> {memory[-1]:.0f} MiB"
+    said = "none" if well else f"FAILED: {home}/log"
+    print(markdown.row((target, runs, f"{seconds} s", covered, growth, said)), flush=True)
     return bool(well)
 
 

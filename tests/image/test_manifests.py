@@ -57,7 +57,7 @@ def test_every_manifest_says_who_may_ask():
         *({one["name"] for one in container["env"]} for container in containers),
         set(compose["services"]["service"]["environment"]),
     ]
-    assert all(names & {"ROLLCAST_KEYS_FILE", "ROLLCAST_ANONYMOUS"} for names in given)
+    assert all(names & {"ROLLCAST_KEYS_FILE", "ROLLCAST_ALLOW_UNAUTHENTICATED"} for names in given)
 
 
 def test_pods_of_kserve_and_ray(tmp_path):

@@ -24,6 +24,8 @@ from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
 
+from rollcast import markdown
+
 ROOT = Path(__file__).resolve().parents[2]
 LEAST_SHARE = 0.8
 LONGEST_S = 20
@@ -117,11 +119,12 @@ def main() -> int:
         missed = [c for c in found if not is_noticed(name, path, c.source, MODULES[name])]
         tried, noticed = tried + len(found), noticed + len(found) - len(missed)
         share = 1 - len(missed) / len(found)
-        print(f"| `{name}` | {len(found)} | {len(found) - len(missed)} | {100 * share:.1f} % |")
+        cells = (f"`{name}`", len(found), len(found) - len(missed), f"{100 * share:.1f} %")
+        print(markdown.row(cells))
         for change in missed:
             print(f"    {change.line}: {change.operator}: {lines[change.line - 1].strip()}")
         sys.stdout.flush()
-    print(f"| all | {tried} | {noticed} | {100 * noticed / tried:.1f} % |")
+    print(markdown.row(("all", tried, noticed, f"{100 * noticed / tried:.1f} %")))
     return 0 if noticed / tried >= LEAST_SHARE else 1
 
 

@@ -46,7 +46,7 @@ FORECAST = {
         },
     ],
     "times_s": [0, 0.025],
-    "half_radii": [1.2, 0.9],
+    "ellipse50_radii": [1.2, 0.9],
     "final_positions": None,
     "warnings": ["beware"],
     "timing_ms": {"decode": 1, "encode": 2, "rollout": 3, "total": 6},
@@ -97,7 +97,7 @@ def test_a_forecast_is_arrays(client):
     assert forecast.angular_velocities.shape == (2, 2, 3)
     assert forecast.final_positions is None
     np.testing.assert_array_equal(forecast.times_s, [0, 0.025])
-    np.testing.assert_array_equal(forecast.half_radii, [1.2, 0.9])
+    np.testing.assert_array_equal(forecast.ellipse50_radii, [1.2, 0.9])
     assert (forecast.colors, forecast.warnings) == (("red", "green"), ("beware",))
     assert (forecast.model.name, forecast.frame_size) == ("dot", (48, 48))
     assert forecast.timing_ms.total == 6
@@ -140,8 +140,9 @@ def test_a_crop_is_the_largest_square_in_the_middle(shape, tmp_path):
 @pytest.mark.parametrize(
     ("frame", "error", "message"),
     [
-        (FRAME.astype(float), TypeError, "float64, expected uint8"),
-        (FRAME[..., 0], ValueError, r"shape \(48, 48\), expected \[height, width, 3\]"),
+        (FRAME.astype(int), TypeError, r"int64, expected uint8 .* \.astype\(numpy\.uint8\)"),
+        (FRAME.astype(float), ValueError, r"floats has values from .*, expected 0 to 1: divide"),
+        (FRAME[..., :2], ValueError, r"shape \(48, 48, 2\), expected \[height, width\]"),
         ("no/such/file.png", OSError, "no/such"),
     ],
 )

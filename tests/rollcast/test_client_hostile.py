@@ -332,7 +332,7 @@ def _consistent(result):
         balls, steps = result.positions.shape[:2]
         assert (balls, steps) == (2, HORIZON) == (len(result.colors), len(result.times_s))
         assert result.covariances.shape == (balls, steps, 2, 2)
-        assert result.half_radii.shape == (steps,)
+        assert result.ellipse50_radii.shape == (steps,)
         turning = result.angular_velocities
         assert turning is None or turning.shape == (balls, steps, 3)
         assert np.isfinite(result.positions).all()

@@ -162,7 +162,7 @@ def test_a_forecast_is_saved_as_json_that_makes_it_again(forecast, tmp_path):
     forecast.save(path)
     again = Forecast.from_response(PredictResponse.model_validate_json(path.read_text()))
     assert path.read_text() == forecast.to_json() + "\n"
-    for name in ("positions", "covariances", "half_radii", "angular_velocities", "times_s"):
+    for name in ("positions", "covariances", "ellipse50_radii", "angular_velocities", "times_s"):
         np.testing.assert_array_equal(getattr(again, name), getattr(forecast, name))
     assert (again.colors, again.model, again.warnings) == (
         forecast.colors,

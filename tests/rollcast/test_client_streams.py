@@ -29,7 +29,7 @@ def step(index, turning=(0, 1, 2)):
         "step",
         step=index,
         time_s=index / 40,
-        half_radius=1 - index / 10,
+        ellipse50_radius=1 - index / 10,
         objects=[ball | {"angular_velocity": turning}],
     )
 
@@ -79,7 +79,7 @@ def test_steps_are_arrays_and_then_the_forecast_is_there(client):
     assert forecast.angular_velocities.shape == (1, 2, 3)
     assert (forecast.colors, forecast.warnings) == (("red",), ("beware",))
     np.testing.assert_array_equal(forecast.times_s, [0, 1 / 40])
-    np.testing.assert_array_equal(forecast.half_radii, [1, 0.9])
+    np.testing.assert_array_equal(forecast.ellipse50_radii, [1, 0.9])
     assert list(stream) == [], "it has ended"
 
 
@@ -97,7 +97,7 @@ def test_the_streamed_forecast_is_that_of_predict(client, objects):
     np.testing.assert_array_equal(
         np.stack([arrived.positions for arrived in stream], axis=1), whole.positions
     )
-    for name in ("positions", "covariances", "half_radii", "angular_velocities", "times_s"):
+    for name in ("positions", "covariances", "ellipse50_radii", "angular_velocities", "times_s"):
         np.testing.assert_array_equal(getattr(stream.forecast, name), getattr(whole, name))
     assert stream.forecast.model == whole.model
 
@@ -137,7 +137,7 @@ def test_nothing_is_sent_before_the_first_step_is_asked_for(client):
 
 def test_what_is_no_frame_is_told_by_the_first_step(client):
     with pytest.raises(TypeError, match="expected uint8"):
-        list(client(Streaming()).predict_stream(FRAMES.astype(float)))
+        list(client(Streaming()).predict_stream(FRAMES.astype(int)))
 
 
 PASSING = {

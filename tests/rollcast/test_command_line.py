@@ -45,7 +45,7 @@ class Service(httpx2.BaseTransport):
             "frame_rate": rate,
             "objects": [ball],
             "times_s": [step / rate for step in range(horizon)],
-            "half_radii": [1.2] * horizon,
+            "ellipse50_radii": [1.2] * horizon,
             "final_positions": None,
             "warnings": ["beware"],
             "timing_ms": {"decode": 1, "encode": 2, "rollout": 3, "total": 6},
@@ -97,8 +97,8 @@ def write_images(folder, count):
 
 
 def test_a_model_for_footage_gets_what_it_knows(run, service, video):
-    rig = {"colors": ["#ff0000"], "crop": [20, 4, 60]}
-    service.known = {"scenarios": ["footage"], "frame_rate_hz": 30.0, "rig": rig}
+    setup = {"colors": ["#ff0000"], "crop": [20, 4, 60]}
+    service.known = {"scenarios": ["footage"], "frame_rate_hz": 30.0, "setup": setup}
     code, printed, errors = run(video, "--model", "dot@3", "--horizon", 2)
     assert (code, errors) == (0, "")
     lines = printed.splitlines()
@@ -170,7 +170,7 @@ def test_images_or_their_folder(run, service, tmp_path, as_folder):
         (["VIDEO", "--crop", "50,0,64"], "y 0..64, the picture is 96 x 64\n"),
         (["IMAGE", "IMAGE", "IMAGE"], "3 images, expected a video, a folder or at least four"),
         (["IMAGE", "IMAGE", "IMAGE", "IMAGE", "--start", "1"], "--start is for a video"),
-        (["IMAGE", "IMAGE", "IMAGE", "VIDEO"], "{video} cannot be read: not an image\n"),
+        (["IMAGE", "IMAGE", "IMAGE", "VIDEO"], "{video} is not an image, expected one of"),
         (["FOLDER"], "0 images, expected"),
     ],
 )

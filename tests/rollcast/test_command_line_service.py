@@ -163,7 +163,7 @@ READY = {
     "trained_horizon": 20,
     "metrics": {"validation_error_px": 1.4142, "rows": []},
 }
-REFUSED = {"name": "broken", "version": 1, "status": "refused", "reason": "a hash differs"}
+REFUSED = {"name": "broken", "version": 1, "status": "invalid", "reason": "a hash differs"}
 
 
 def test_models_are_listed_and_refused_ones_say_why(run):
@@ -173,7 +173,7 @@ def test_models_are_listed_and_refused_ones_say_why(run):
     assert printed == snapshot("""\
 MODEL      VARIANT  BALLS  FRAMES  HORIZON  ERROR_PX  SCENARIOS             STATUS
 posnet@2*  posnet   1      4       20       1.41      hemisphere,ellipsoid  ready
-broken@1                                                                    refused: a hash differs
+broken@1                                                                    invalid: a hash differs
 """)
     code, printed, _ = run("models", "--format", "json", service=service)
     assert [model["reason"] for model in json.loads(printed)] == [None, "a hash differs"]
@@ -232,6 +232,14 @@ def test_what_is_missing_is_a_note(run, monkeypatch):
     code, printed, _ = run("doctor")
     assert code == 0
     assert "note video: pip install 'rollcast[video]', and videos can be read" in printed
+
+
+def test_a_pyav_that_cannot_read_clips_fails(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rollcast.video", None)
+    code, printed, _ = run("doctor")
+    assert code == 1
+    assert "FAIL video: av " in printed
+    assert "pip install -U 'rollcast[video]'" in printed
 
 
 def test_outside_a_checkout_serve_prints_the_containers_command(tmp_path):
@@ -327,8 +335,9 @@ Options:
   --start SECONDS                 time of the first of the four frames in the video (default: 0)
   --every N                       take every N-th frame as it is, none is blended (default: 40 a
                                   second)
-  --rate HZ                       images a second, of all of them (default: 40); a video tells its
-                                  own
+  --rate HZ                       frames a second that the camera took: of images (default: 40),
+                                  of an elementary stream, which does not tell, and of slow
+                                  motion, which is stored slower
   --crop X,Y,SIZE                 the square that is looked at: left column, upper row, side, in
                                   pixels (default: the largest in the middle); models know frames
                                   that the bowl or plane just fills
@@ -338,7 +347,7 @@ Options:
                                   --final up to that frame)
   --model NAME                    auto, NAME or NAME@VERSION  [default: auto]
   --objects BALLS                 how many balls there are (default: the model's, with auto 1)
-  --scenario <hemisphere|ellipsoid|heightfield|footage>
+  --scenario <hemisphere|ellipsoid|heightfield|table|footage>
                                   let auto choose among models made for it
   --url ADDRESS                   address of the service (default: ROLLCAST_URL, else
                                   http://127.0.0.1:8000)
@@ -361,7 +370,7 @@ Usage: rollcast simulate [OPTIONS] {SCENARIO}
     rollcast simulate heightfield --steps 200 --size 512 --out scene.mp4 --slower 2
 
 Arguments:
-  SCENARIO <hemisphere|ellipsoid|heightfield>
+  SCENARIO <hemisphere|ellipsoid|heightfield|table>
                                   what the balls roll in  [required]
 
 Options:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rollcast.errors import FootageError
-from rollcast.footage import Footage, SquareCrop, between
+from rollcast.footage import Footage, SquareCrop, TakenFrame, resample
 
 DARK, BRIGHT = (np.full((8, 8, 3), level, np.uint8) for level in (40, 200))
 
@@ -38,7 +38,8 @@ def test_footage_that_ends_too_soon_is_refused():
     [(1.0, 40, 1.0), (1.05, 80, 1.05), (1.1, 120, 1.1), (1.2, 200, 1.2), (1.195, 200, 1.2)],
 )
 def test_a_picture_between_two_is_their_mean_by_time(time_s, level, shown_s):
-    moment = between(DARK, 1.0, BRIGHT, 1.2, time_s, 0.01)
+    taken = [TakenFrame(1.0, lambda: DARK), TakenFrame(1.2, lambda: BRIGHT)]
+    [moment] = resample(taken, [time_s], 0.01)
     assert (moment.picture == level).all()
     assert moment.time_s == pytest.approx(shown_s)
     assert (moment.blended_over_s > 0) == (level not in {40, 200})

@@ -20,7 +20,9 @@ def surface(module, names):
     for name in names:
         thing = getattr(module, name)
         if not inspect.isclass(thing):
-            lines.append(f"{name} = {without_modules(thing)}")
+            written = without_modules(thing).replace(without_modules(Frame), "Frame")
+            written = without_modules(Frame) if name == "Frame" else written
+            lines.append(f"{name} = " + written.replace(" | ", "\n    | "))
             continue
         lines.append(f"class {name}{signature(thing)}")
         for member, value in inspect.getmembers(thing):
@@ -218,7 +220,7 @@ class Forecast(
         positions: jaxtyping.Float64[ndarray, 'objects T 2'],
         covariances: jaxtyping.Float64[ndarray, 'objects T 2 2'],
         covariance_source: Literal['predicted', 'empirical'],
-        half_radii: jaxtyping.Float64[ndarray, 'T'],
+        ellipse50_radii: jaxtyping.Float64[ndarray, 'T'],
         angular_velocities: jaxtyping.Float64[ndarray, 'objects T 3'] | None,
         final_positions: jaxtyping.Float64[ndarray, 'objects 2'] | None,
         times_s: jaxtyping.Float64[ndarray, 'T'],
@@ -261,7 +263,7 @@ class Forecast(
 class ForecastStep(
         step: int,
         time_s: float,
-        half_radius: float,
+        ellipse50_radius: float,
         positions: jaxtyping.Float64[ndarray, 'objects 2'],
         covariances: jaxtyping.Float64[ndarray, 'objects 2 2'],
         angular_velocities: jaxtyping.Float64[ndarray, 'objects 3'] | None,
@@ -279,8 +281,17 @@ class ForecastStream(
         self,
     ) -> None
     forecast: rollcast.client.results.Forecast
-Frame = numpy.ndarray | PIL.Image.Image | pathlib.Path | str
-Frames = Sequence[numpy.ndarray | PIL.Image.Image | pathlib.Path | str] | numpy.ndarray
+Frame = numpy.ndarray
+    | PIL.Image.Image
+    | pathlib.Path
+    | str
+    | bytes
+    | bytearray
+    | rollcast.frames.SupportsRead
+    | rollcast.frames.SupportsArray
+Frames = Sequence[Frame]
+    | numpy.ndarray
+    | rollcast.client.images.FrameTensor
 class Simulation(
         frames: ~FramesT,
         positions: jaxtyping.Float64[ndarray, 'objects steps 2'],
@@ -357,6 +368,8 @@ Exception
         RequestTimeoutError
     FootageError
       CropError
+      FootageEndedError
+      FrameError
     MissingExtraError
     SceneParametersError
     SceneRejectedError
@@ -365,6 +378,7 @@ ImportError
 TimeoutError
   RequestTimeoutError
 ValueError
+  FrameError
   InvalidArgumentError\
 """)
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from rollcast.manifest import HASHED_FILES, OUTPUT_SHAPES, Manifest
 from rollcast.ood import Familiarity
-from service.inference.rollout import Arrays, Step
+from rollcast.rollout import Arrays, Step
 from service.serving.registry import Model, Registry
 
 UNITS = {

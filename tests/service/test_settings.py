@@ -66,12 +66,14 @@ def test_a_file_that_is_missing_is_told(file):
 
 def test_every_setting_is_told_with_its_default():
     text = described()
-    assert "ROLLCAST_RETRY_AFTER_S (default 1)\n    Seconds after which" in text
+    assert "ROLLCAST_RETRY_AFTER_S (default 1)\n    Value of the Retry-After" in text
     assert text.count("(default ") == len(Settings.model_fields)
 
 
 def test_traces_have_to_go_somewhere(monkeypatch):
-    with pytest.raises(ValidationError, match=r"traces need one of .*OTEL_EXPORTER_OTLP_ENDPOINT"):
+    with pytest.raises(
+        ValidationError, match=r"traces requires one of .*OTEL_EXPORTER_OTLP_ENDPOINT"
+    ):
         Settings(traces=True)
     monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", "http://127.0.0.1:4318")
     assert Settings(traces=True).traces
@@ -88,5 +90,21 @@ def test_threads_and_queues_are_shared_out_among_processes():
 
 def test_requests_a_minute_are_counted_in_one_process():
     assert Settings(requests_per_minute=5).processes == 1
-    with pytest.raises(ValueError, match="requests_per_minute needs processes = 1"):
+    with pytest.raises(ValueError, match="requests_per_minute requires processes = 1"):
         Settings(requests_per_minute=5, processes=2)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "ROLLCAST_PORT",
+        "ROLLCAST_PORT_8000_TCP_ADDR",
+        "ROLLCAST_SERVICE_HOST",
+        "ROLLCAST_SERVICE_PORT_HTTP",
+        "ROLLCAST_RAY_SERVICE_PORT",
+    ],
+)
+def test_variables_that_kubernetes_sets_for_a_service_are_no_settings(monkeypatch, name):
+    """A Service named ``rollcast`` puts these into every pod of its namespace."""
+    monkeypatch.setenv(name, "tcp://10.0.0.1:8000")
+    Settings()

@@ -19,6 +19,7 @@ import aiohttp
 import numpy as np
 import psutil
 
+from rollcast import markdown
 from tests.bench.harness import answering, service
 from tests.bench.loop import MODEL
 from tests.bench.payloads import KINDS, Payload, frames, payload, simulation
@@ -55,9 +56,16 @@ class Window:
 
     def row(self) -> str:
         """Markdown."""
-        return (
-            f"| {self.requests} | {self.memory_mib:.1f} | {self.simulating_mib:.1f} | "
-            f"{self.descriptors} | {self.threads} | {self.median_ms:.1f} | {self.p99_ms:.1f} |"
+        return markdown.row(
+            (
+                self.requests,
+                f"{self.memory_mib:.1f}",
+                f"{self.simulating_mib:.1f}",
+                self.descriptors,
+                self.threads,
+                f"{self.median_ms:.1f}",
+                f"{self.p99_ms:.1f}",
+            )
         )
 
 
@@ -192,8 +200,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--requests", type=int, default=100_000)
     given = parser.parse_args()
-    print("| requests | memory MiB | simulating MiB | descriptors | threads | median ms | p99 ms |")
-    print("|---|---|---|---|---|---|---|", flush=True)
+    head = ("requests", "memory MiB", "simulating MiB", "descriptors", "threads", "median ms",
+            "p99 ms")  # fmt: skip
+    print(markdown.header(head), flush=True)
     begun = time.monotonic()
     with service() as (address, process):
         soak = Soak(address, process, given.requests)

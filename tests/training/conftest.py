@@ -31,7 +31,7 @@ def tiny(recipe: Recipe) -> Recipe:
         data=(DataShare(HEMISPHERE, SHARD_SCENES, share=1, latest_start=100),),
         scenarios=("hemisphere",),
         sequences=32,
-        rehearsal=min(recipe.rehearsal, 40),
+        replay_windows=min(recipe.replay_windows, 40),
         batch_size=4,
         curriculum=(Milestone(0, 2), Milestone(1, 4)),
         validation_scenes=SHARD_SCENES,

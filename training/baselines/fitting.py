@@ -1,23 +1,19 @@
-"""Trains a baseline: resumable at any moment, best weights by validation."""
+"""Trains a baseline in the loop that recipes are trained in."""
 
-import math
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic
+from typing import Any, Generic, NamedTuple
 
 import torch
-from torch import nn
-from tqdm import tqdm
+from torch import Tensor, nn
 
 from training.baselines.learner import Given, Learner
-from training.data.feature_cache import save_whole
+from training.common.precision import mixed_precision
+from training.common.run_folder import read_best
+from training.engine.loop import Optimisation, TrainerConfig, TrainingLoop
 from training.objectives.schedules import Schedule
 
-CHECKPOINT = "checkpoint.pt"
-BEST = "best.pt"
-CHECKPOINT_SECONDS = 120
 VALIDATIONS = 20
 """Over the whole budget."""
 
@@ -29,11 +25,13 @@ class FitConfig(Generic[Given]):
     Attributes
     ----------
     batches
-        Budget.
+        Budget in optimiser steps.
     stream
         Makes the batches from a number on; batch k is always the same.
     optimiser
         Made of the parameters; its rate is the first one.
+    bfloat16
+        Whether it computes in bfloat16 where the processor is made for that.
     """
 
     batches: int
@@ -42,6 +40,53 @@ class FitConfig(Generic[Given]):
     schedule: Callable[[], Schedule]
     batch_size: int
     seed: int = 1
+    bfloat16: bool = False
+
+
+class Fitted(NamedTuple, Generic[Given]):
+    """A trained baseline with its best weights, and whether its training had converged."""
+
+    learner: Learner[Given]
+    converged: bool | None
+
+
+class LearnerTrainer(TrainingLoop[Given]):
+    """The training of a baseline in a folder of its own."""
+
+    def __init__(
+        self,
+        learner: Learner[Given],
+        fit_config: FitConfig[Given],
+        folder: Path,
+        validate: Callable[[Learner[Given]], float],
+        config: TrainerConfig,
+    ) -> None:
+        optimisation = Optimisation(
+            fit_config.batches, fit_config.batch_size, fit_config.optimiser, fit_config.schedule
+        )
+        super().__init__(learner, learner.parameters(), optimisation, folder, config)
+        self._learner = learner
+        self._fit_config = fit_config
+        self._validate = validate
+
+    def _stream(self) -> Iterator[Given]:
+        return self._fit_config.stream(self.batches)
+
+    def _loss(self, batch: Given, progress: float) -> Tensor:
+        if not self._fit_config.bfloat16:
+            return self._learner.loss(batch, progress)
+        with mixed_precision(torch.device("cpu")):
+            return self._learner.loss(batch, progress)
+
+    def _errors(self) -> tuple[float, Mapping[str, float]]:
+        averaged = self.averaged()
+        assert isinstance(averaged, Learner)
+        with torch.inference_mode():
+            error = self._validate(averaged)
+        return error, {"validation/error": error}
+
+    def _best_weights(self) -> dict[str, Any]:
+        return {"weights": self.averaged().state_dict(), "error_px": self.best_error}
 
 
 def fit(
@@ -49,7 +94,8 @@ def fit(
     fit_config: FitConfig[Given],
     folder: Path,
     validate: Callable[[Learner[Given]], float],
-) -> Learner[Given]:
+    checkpoint_seconds: float = TrainerConfig.checkpoint_seconds,
+) -> Fitted[Given]:
     """Train a baseline from its last checkpoint on; return it with its best weights.
 
     Parameters
@@ -59,56 +105,11 @@ def fit(
     validate
         Error of a learner that decides which weights are the best.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(fit_config.seed)
     learner = build()
-    optimiser = fit_config.optimiser(learner.parameters())
-    first_rates = [group["lr"] for group in optimiser.param_groups]
-    schedule = fit_config.schedule()
-    done, best = 0, math.inf
-    checkpoint = folder / CHECKPOINT
-    if checkpoint.exists():
-        state = torch.load(checkpoint, weights_only=True)
-        learner.load_state_dict(state["weights"])
-        optimiser.load_state_dict(state["optimiser"])
-        schedule.restore(state["schedule"])
-        done, best = state["batches"], state["best"]
-    saved = time.monotonic()
     every = max(1, fit_config.batches // VALIDATIONS)
-    batches = fit_config.stream(done)
-    progress = tqdm(total=fit_config.batches, initial=done, unit="batch", desc=folder.name)
-    while done < fit_config.batches:
-        spent = done / fit_config.batches
-        for group, rate in zip(optimiser.param_groups, first_rates, strict=True):
-            group["lr"] = rate * schedule.factor(spent)
-        learner.train()
-        loss = learner.loss(next(batches), spent)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        optimiser.step()
-        schedule.observe(float(loss.detach()), fit_config.batch_size)
-        done += 1
-        progress.update()
-        if done % every == 0 or done == fit_config.batches:
-            learner.eval()
-            with torch.inference_mode():
-                error = validate(learner)
-            progress.set_postfix(error=f"{error:.2f} px")
-            if error < best:
-                best = error
-                save_whole(folder / BEST, {"weights": learner.state_dict(), "error_px": error})
-        if time.monotonic() - saved > CHECKPOINT_SECONDS or done == fit_config.batches:
-            save_whole(
-                checkpoint,
-                {
-                    "weights": learner.state_dict(),
-                    "optimiser": optimiser.state_dict(),
-                    "schedule": schedule.state(),
-                    "batches": done,
-                    "best": best,
-                },
-            )
-            saved = time.monotonic()
-    progress.close()
-    learner.load_state_dict(torch.load(folder / BEST, weights_only=True)["weights"])
-    return learner.eval()
+    config = TrainerConfig(validate_every=every, checkpoint_seconds=checkpoint_seconds)
+    trainer = LearnerTrainer(learner, fit_config, folder, validate, config)
+    trainer.run()
+    learner.load_state_dict(read_best(folder)["weights"])
+    return Fitted(learner.eval(), trainer.converged)

@@ -6,6 +6,7 @@ halves of the frame a frame; angular velocities are those of the world's axes in
 """
 
 from collections.abc import Iterator, Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from rollcast.scene import Scene
 from rollcast.simulation.recording import TEST_START
 from rollcast.trajectory import FIRST_FORECAST_FRAME
 from training.data.shards import Recording
+from training.data.windows import FRAME_SHAPE, Symmetry, Window
 from training.networks.recurrent import ANGULAR_VELOCITY_UNIT
 
 HALF_FRAME_PX = NETWORK_FRAME_SIZE / 2
@@ -112,26 +114,37 @@ class StateSet:
 def turned(states: States, quarter_turns: Tensor, mirrored: Tensor) -> States:
     """Turn sequences counter-clockwise as seen, then mirror some in x.
 
-    The same symmetries as :class:`training.data.windows.Symmetry` has for frames.
+    Each by the :class:`training.data.windows.Symmetry` that frames are turned by.
     """
-    angle = quarter_turns * (torch.pi / 2)
-    cos, sin = angle.cos().round(), angle.sin().round()
-    flip = 1 - 2 * mirrored.float()
-    # As seen, so image (x, y) -> (y, -x); world (x, y) -> (-y, x); twice that for the axis.
-    in_image = torch.stack([torch.stack([cos, sin], 1), torch.stack([-sin, cos], 1)], 1)
-    in_image = in_image * torch.stack([flip, torch.ones_like(flip)], 1)[:, :, None]
-    in_world = torch.zeros(len(angle), 3, 3)
-    in_world[:, 0, 0], in_world[:, 0, 1] = cos, -sin
-    in_world[:, 1, 0], in_world[:, 1, 1] = flip * sin, flip * cos
-    in_world[:, 2, 2] = flip
-    ratio, twice_cos, twice_sin = states.bowl.unbind(1)
-    half_turn = 1 - 2 * (quarter_turns % 2).float()
+    of_images, of_worlds = _symmetries()
+    chosen = quarter_turns + 4 * mirrored
+    image, world = of_images[chosen], of_worlds[chosen]
+    ratio, cos, sin = states.bowl.unbind(1)
+    # The tensor whose first axis is the bowl's.
+    axis = torch.stack([torch.stack([cos, sin], 1), torch.stack([sin, -cos], 1)], 1)
+    axis = image @ axis @ image.mT
     return States(
-        torch.einsum("bij,bntj->bnti", in_image, states.positions),
-        torch.einsum("bij,bntj->bnti", in_image, states.velocities),
-        torch.einsum("bij,bntj->bnti", in_world, states.spins),
-        torch.stack([ratio, half_turn * twice_cos, flip * half_turn * twice_sin], 1),
+        torch.einsum("bij,bntj->bnti", image, states.positions),
+        torch.einsum("bij,bntj->bnti", image, states.velocities),
+        torch.einsum("bij,bntj->bnti", world, states.spins),
+        torch.stack([ratio, axis[:, 0, 0], axis[:, 0, 1]], 1),
     )
+
+
+@cache
+def _symmetries() -> tuple[Tensor, Tensor]:
+    """Return the symmetries of image vectors [8, 2, 2] and of angular velocities [8, 3, 3]."""
+    images: list[np.ndarray] = []
+    worlds: list[np.ndarray] = []
+    middle = NETWORK_FRAME_SIZE / 2
+    unseen = np.zeros((0, *FRAME_SHAPE), dtype=np.uint8)
+    for mirror in (False, True):
+        for quarter_turns in range(4):
+            units = Window(unseen, middle + np.eye(2)[None], np.eye(3)[None])
+            moved = Symmetry(quarter_turns, mirror).apply(units)
+            images.append((moved.positions[0] - middle).T)
+            worlds.append(moved.angular_velocities[0].T)
+    return torch.tensor(np.stack(images)).float(), torch.tensor(np.stack(worlds)).float()
 
 
 def _gathered(values: Tensor, scenes: Tensor, times: Tensor) -> Tensor:

@@ -1,106 +1,100 @@
-"""What ``python -m training`` does with clips: its commands and options for a user's own set-up."""
+"""Commands for a user's own set-up: networks trained on clips, and the page of real footage."""
 
-import argparse
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+import typer
 
 from rollcast.errors import FootageError
+from training.cli.options import Balls, SplitClips, failed, one_of, recipe_of, show
+from training.common.run_folder import BEST
 from training.common.settings import runs_folder
 from training.data.clip_dataset import Clips, load_clips
 from training.data.splits import Split
-from training.engine.trainer import BEST
 from training.recipes import RECIPES
 from training.recipes.recipe import Recipe
 from training.reporting import footage_page
-from training.reporting.footage_report import BASELINES, Rig, markdown, measure
+from training.reporting.footage_report import BASELINES, SetupClips, markdown, measure
 from training.studies.publish import DOCS
 
-
-def add(commands: "argparse._SubParsersAction[Any]", show: Callable[[Iterable[str]], None]) -> None:
-    """Add the commands ``rig`` and ``real``.
-
-    Parameters
-    ----------
-    show
-        Tells the user what a command says, as it comes.
-    """
-    rig = commands.add_parser(
-        "rig", help="measure networks trained on clips, and the baselines, on the test clips"
-    )
-    rig.add_argument("recipe", choices=[name for name in RECIPES if name.startswith("rig-")])
-    rig.add_argument("--data", type=Path, required=True, metavar="FOLDER", help="clips with tracks")
-    rig.add_argument("--balls", type=int, nargs="+", metavar="BALL", help="as they were trained")
-    _add_baselines(rig)
-    rig.set_defaults(run=lambda arguments: show(_rig(arguments)))
-
-    footage = commands.add_parser(
-        "real", help="track, train and measure docs/results/real.md, where its clips are"
-    )
-    footage.add_argument("clips", type=Path, metavar="FOLDER", help="the clips that it names")
-    _add_baselines(footage)
-    footage.set_defaults(run=lambda arguments: show(_real(arguments)))
+PREFIX = "setup-"
+Baselines = Annotated[
+    list[str] | None,
+    typer.Option(
+        callback=one_of(BASELINES),
+        help="baseline to measure; repeat it for several (default: all)",
+    ),
+]
 
 
-def _add_baselines(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--baselines", nargs="*", choices=BASELINES, default=list(BASELINES), help="default: all"
-    )
+def add_to(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command("setup")(setup)
+    app.command("real")(real)
 
 
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Add what :func:`clips_of` reads to a command that also knows scenes."""
-    command.add_argument(
-        "--data",
-        type=Path,
-        metavar="FOLDER",
-        help="clips with tracks (rollcast track) for the recipes rig-...: your own set-up",
-    )
-    command.add_argument(
-        "--balls",
-        type=int,
-        nargs="+",
-        metavar="BALL",
-        help="of the clips' balls, those to forecast (default: all, for rig-one-ball the first)",
-    )
+def setup(
+    recipe: Annotated[
+        str,
+        typer.Argument(
+            callback=one_of(name for name in RECIPES if name.startswith(PREFIX)),
+            metavar="RECIPE",
+        ),
+    ],
+    data: Annotated[Path, typer.Option(metavar="FOLDER", help="clips with tracks")],
+    balls: Balls = None,
+    baselines: Baselines = None,
+) -> None:
+    """Measure networks trained on clips, and the baselines, on the test clips."""
+    show(_measured(recipe, data, balls, baselines or list(BASELINES)))
 
 
-def clips_of(arguments: argparse.Namespace) -> dict[Split, Clips] | None:
+def real(
+    clips: Annotated[Path, typer.Argument(metavar="FOLDER", help="the clips that it names")],
+    baselines: Baselines = None,
+) -> None:
+    """Track, train and measure docs/results/real.md, where its clips are."""
+    show(_page(clips, baselines or list(BASELINES)))
+
+
+def clips_of(recipe: str, data: Path | None, balls: Sequence[int] | None) -> SplitClips | None:
     """Return the clips that a command was given; None for a recipe on scenes."""
     try:
-        return rig_clips(RECIPES[arguments.recipe](), arguments.data, arguments.balls)
+        return setup_clips(recipe_of(recipe), data, balls)
     except FootageError as error:
-        raise SystemExit(str(error)) from error
+        failed(error)
 
 
-def _rig(arguments: argparse.Namespace) -> Iterator[str]:
-    recipe = RECIPES[arguments.recipe]()
-    if not arguments.data.is_dir():
-        yield f"skipped: there are no clips at {arguments.data}"
+def _measured(
+    name: str, data: Path, balls: Sequence[int] | None, baselines: Sequence[str]
+) -> Iterator[str]:
+    recipe = recipe_of(name)
+    if not data.is_dir():
+        yield f"skipped: there are no clips at {data}"
         return
-    clips = clips_of(arguments)
+    clips = clips_of(name, data, balls)
     assert clips is not None
-    rig = Rig(clips)
+    setup = SetupClips(clips)
     there = (runs_folder() / recipe.name / BEST).exists()
-    rows = list(measure(rig, arguments.baselines, [recipe] if there else []))
-    yield markdown(rows, rig)
+    rows = list(measure(setup, baselines, [recipe] if there else []))
+    yield markdown(rows, setup)
 
 
-def _real(arguments: argparse.Namespace) -> Iterator[str]:
+def _page(clips: Path, baselines: Sequence[str]) -> Iterator[str]:
     missing = [
         file
         for filmed in (footage_page.ARENA, *footage_page.POOL)
         for file in filmed.clips
-        if not (arguments.clips / file).exists()
+        if not (clips / file).exists()
     ]
     if missing:
-        yield f"skipped: {arguments.clips} has no {', '.join(missing)}"
+        yield f"skipped: {clips} has no {', '.join(missing)}"
         return
-    page = DOCS / "results" / "real.md"
-    yield from footage_page.make(arguments.clips, page, arguments.baselines)
+    yield from footage_page.make(clips, DOCS / "results" / "real.md", baselines)
 
 
-def rig_clips(
+def setup_clips(
     recipe: Recipe, folder: Path | None, balls: Sequence[int] | None
 ) -> dict[Split, Clips] | None:
     """Return what a recipe trains on where it is made for footage; None for simulated scenes.
@@ -121,7 +115,7 @@ def rig_clips(
         raise FootageError(f"{recipe.name} is trained on clips; name their folder with --data")
     if recipe.scenarios:
         raise FootageError(
-            f"{recipe.name} is trained on simulated scenes; --data is for the recipes rig-..."
+            f"{recipe.name} is trained on simulated scenes; --data is for the recipes setup-..."
         )
     objects = recipe.task.objects
     splits = load_clips(folder)

@@ -47,7 +47,7 @@ def is_main_process() -> bool:
 
 
 def main_process_first(work: Callable[[], T]) -> T:
-    """Let the leader do what leaves files behind, then all others, who find them."""
+    """Let the main process do what leaves files behind, then all others, who find them."""
     if share().every == 1:
         return work()
     if not is_main_process():

@@ -1,8 +1,9 @@
 """Clips with tracks as training data: a user's own set-up, or Roll4Real (paper, section 5.3).
 
 A folder holds clips, in any depth: ``NAME.mp4`` (or another video, or a folder ``NAME/`` of images)
-beside ``NAME.parquet``, the tracks that ``rollcast track`` writes. ``setup.json`` at its top may
-say which square of the pictures the networks see and which clips belong to which split:
+beside ``NAME.parquet``, the tracks that ``rollcast track`` writes. Clips of one name in several
+folders are called by their paths, ``mon/NAME``. ``setup.json`` at its top may say which square of
+the pictures the networks see and which clips belong to which split:
 
     {"crop": [125, 0, 475], "splits": {"validation": ["clip3"], "test": ["clip4"]}}
 
@@ -10,8 +11,10 @@ Clips that it does not name are for training; without it, clips are split by the
 """
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -23,11 +26,13 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch.utils.data import IterableDataset
 
 from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.clip import open_clip
 from rollcast.errors import FootageError
-from rollcast.footage import SquareCrop, read_images
+from rollcast.footage import SquareCrop
+from rollcast.frames import read_file
+from rollcast.image_sequence import ImageSequence, image_files, is_hidden
 from rollcast.tracking.tracks import Tracks
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
-from rollcast.video import every_frame
 from training.common.distributed import Share
 from training.common.settings import runs_folder
 from training.data.rest_height_map import MAP_CELLS
@@ -35,7 +40,8 @@ from training.data.splits import Split
 from training.data.windows import Batch, SceneTargets, Symmetry, Window, collate
 
 SETUP_FILE = "setup.json"
-VIDEOS = (".mp4", ".webm", ".mov", ".avi", ".mkv")
+READER = 2
+"""Version of how clips are read; frames that an older one kept are read again."""
 UNSEEN: Mapping[Split, float] = {"validation": 0.15, "test": 0.15}
 """Shares of the clips that training does not see, where nobody says which."""
 EVERY = 5
@@ -43,6 +49,8 @@ EVERY = 5
 LIGHT = 0.05
 """Standard deviation of the factors by which training brightens each colour of a window: light
 and cameras' settings change from clip to clip."""
+ANY_RATE = 1.0
+"""Rate at which clips are opened: the times are those of the tracks."""
 MISSED_FRAME = 1.5
 """Times between frames, in multiples of the usual one, from which one is missing."""
 
@@ -213,15 +221,14 @@ def load_clips(folder: Path) -> dict[Split, list[Clip]]:
     FootageError
         When there are no clips with tracks, they do not belong together, or one cannot be read.
     """
-    tracked = {path.stem: path for path in sorted(folder.rglob("*.parquet"))}
+    tracked = _tracked(folder)
     if not tracked:
         raise FootageError(
             f"{folder} holds no tracks (NAME.parquet beside NAME.mp4): run `rollcast track` first"
         )
-    file = folder / SETUP_FILE
-    setup = Setup.model_validate_json(file.read_bytes()) if file.exists() else Setup()
+    setup = _setup(folder / SETUP_FILE)
     crop = None if setup.crop is None else SquareCrop(*setup.crop)
-    clips = {name: _clip(path, crop) for name, path in tracked.items()}
+    clips = {name: _clip(path, crop, name) for name, path in tracked.items()}
     counts = {name: len(clip.positions) for name, clip in clips.items()}
     if len(set(counts.values())) > 1:
         raise FootageError(f"clips of one folder show equally many balls, these differ: {counts}")
@@ -231,6 +238,31 @@ def load_clips(folder: Path) -> dict[Split, list[Clip]]:
     }
 
 
+def _tracked(folder: Path) -> dict[str, Path]:
+    """Return the tracks in a folder by the names of their clips, which are all different."""
+    found = [
+        path
+        for path in sorted(folder.rglob("*.parquet"))
+        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    ]
+    often = Counter(path.stem for path in found)
+    return {
+        path.stem
+        if often[path.stem] == 1
+        else path.relative_to(folder).with_suffix("").as_posix(): path
+        for path in found
+    }
+
+
+def _setup(file: Path) -> Setup:
+    if not file.exists():
+        return Setup()
+    try:
+        return Setup.model_validate_json(read_file(file).decode("utf-8-sig"))
+    except (OSError, ValueError) as error:  # pydantic's, and of bytes that are not UTF-8
+        raise FootageError(f"{file} cannot be read: {error}") from error
+
+
 def _splits(names: Sequence[str], setup: Setup) -> dict[Split, list[str]]:
     if setup.splits is not None:
         named: dict[Split, list[str]] = {
@@ -238,7 +270,11 @@ def _splits(names: Sequence[str], setup: Setup) -> dict[Split, list[str]]:
         }
         unknown = {name for of in setup.splits.values() for name in of} - set(names)
         if unknown:
-            raise FootageError(f"{SETUP_FILE} names clips without tracks: {', '.join(unknown)}")
+            alike = [name for name in names if name.rpartition("/")[2] in unknown]
+            hint = f"; write which one: {', '.join(alike)}" if alike else ""
+            raise FootageError(
+                f"{SETUP_FILE} names clips without tracks: {', '.join(sorted(unknown))}{hint}"
+            )
         taken = {name for of in named.values() for name in of}
         return {"training": [name for name in names if name not in taken], **named}
     unseen = {split: max(1, round(share * len(names))) for split, share in UNSEEN.items()}
@@ -257,9 +293,9 @@ def _splits(names: Sequence[str], setup: Setup) -> dict[Split, list[str]]:
     }
 
 
-def _clip(path: Path, crop: SquareCrop | None) -> Clip:
+def _clip(path: Path, crop: SquareCrop | None, name: str) -> Clip:
     tracks = Tracks.read(path)
-    source = _source(path)
+    source = _source(path, (tracks.width, tracks.height))
     crop = crop or SquareCrop.centred(tracks.width, tracks.height)
     frames = _small_frames(source, crop)
     if len(frames) != len(tracks.times_s):
@@ -269,54 +305,83 @@ def _clip(path: Path, crop: SquareCrop | None) -> Clip:
     positions = (tracks.positions_px - (crop.x, crop.y)) * (NETWORK_FRAME_SIZE / crop.size)
     spans = np.diff(tracks.times_s)
     usual = float(np.median(spans))
+    missed = np.concatenate([[False], (spans > MISSED_FRAME * usual) | _gaps(source)])
     return Clip(
-        path.stem,
+        name,
         frames,
         positions.swapaxes(0, 1),
-        np.concatenate([[False], spans > MISSED_FRAME * usual]),
+        missed,
         1 / usual,
         crop,
         tracks.colours,
     )
 
 
-def _source(tracks: Path) -> Path:
-    """Return the video or the folder of images that tracks lie beside."""
+def _source(tracks: Path, size: tuple[int, int]) -> Path:
+    """Return the clip that tracks lie beside: a folder of images, or a video by its content.
+
+    Of several videos of one name (cameras write small copies) it is the one whose pictures are as
+    large as those that were tracked.
+    """
     folder = tracks.with_suffix("")
     if folder.is_dir():
         return folder
-    for suffix in VIDEOS:
-        if (video := tracks.with_suffix(suffix)).exists():
-            return video
+    beside = [
+        path
+        for path in sorted(tracks.parent.iterdir())
+        if path.stem == tracks.stem and path != tracks and path.is_file() and not is_hidden(path)
+    ]
+    sizes = {path: found for path in beside if (found := _size(path)) is not None}
+    fitting = [path for path, found in sizes.items() if found == size] or list(sizes)
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        raise FootageError(
+            f"{tracks} has several clips beside it: {', '.join(path.name for path in fitting)}; "
+            "leave one of them there"
+        )
     raise FootageError(
-        f"{tracks} has no clip beside it: expected {tracks.stem}{VIDEOS[0]} (or "
-        f"{', '.join(VIDEOS[1:])}) or a folder {tracks.stem}/ of images"
+        f"{tracks} has no clip beside it: expected a video {tracks.stem}.mp4 (of any kind) or a "
+        f"folder {tracks.stem}/ of images"
     )
+
+
+def _size(path: Path) -> tuple[int, int] | None:
+    """Return the width and height of a clip's pictures; None of a file that is no clip."""
+    try:
+        first, _ = islice(open_clip(path, rate=ANY_RATE).frames(), 2)
+        height, width = first.load().shape[:2]
+    except (FootageError, ValueError):
+        return None
+    return width, height
+
+
+def _gaps(source: Path) -> np.ndarray:
+    """Whether images are missing from the numbering, between each and the next."""
+    if not source.is_dir():
+        return np.array(False)
+    return np.diff(ImageSequence.from_folder(source, ANY_RATE).numbers) > 1
 
 
 def _small_frames(source: Path, crop: SquareCrop) -> UInt8[np.ndarray, "frames 128 128 3"]:
     """Frames of 128 x 128 pixels, kept in a file so that a clip is decoded once."""
-    changed = source.stat().st_mtime_ns
-    key = hashlib.sha256(f"{source.resolve()} {changed} {crop}".encode()).hexdigest()[:16]
+    files = image_files(source) if source.is_dir() else [source]
+    stamps = [f"{path.name} {(told := path.stat()).st_size} {told.st_mtime_ns}" for path in files]
+    known = f"{READER} {source.resolve()} {crop} {stamps}"
+    key = hashlib.sha256(known.encode("utf-8", "surrogateescape")).hexdigest()[:16]
     kept = runs_folder() / "data" / "clips" / f"{key}.npy"
     if not kept.exists():
         kept.parent.mkdir(parents=True, exist_ok=True)
         small = [
-            cv2.resize(picture, (NETWORK_FRAME_SIZE,) * 2, interpolation=cv2.INTER_AREA)
-            for picture in _squares(source, crop)
+            cv2.resize(
+                crop.cut(taken.load()), (NETWORK_FRAME_SIZE,) * 2, interpolation=cv2.INTER_AREA
+            )
+            for taken in open_clip(source, rate=ANY_RATE).frames()
         ]
         unfinished = kept.with_suffix(".tmp.npy")
         np.save(unfinished, np.stack(small))
         unfinished.replace(kept)
     return np.load(kept, mmap_mode="r")
-
-
-def _squares(source: Path, crop: SquareCrop) -> Iterator[UInt8[np.ndarray, "S S 3"]]:
-    if source.is_dir():
-        yield from read_images(sorted(source.iterdir()), crop=crop).frames
-    else:
-        for moment in every_frame(source):
-            yield crop.cut(moment.picture)
 
 
 def _in_other_light(window: Window, factors: Float[np.ndarray, "3"]) -> Window:

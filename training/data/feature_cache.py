@@ -1,8 +1,7 @@
-"""What a taught eye reads of training windows, kept: seen once, rehearsed as often as one likes."""
+"""What a taught eye reads of training windows, kept: seen once, replayed as often as one likes."""
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -10,6 +9,7 @@ from tqdm import tqdm
 
 from training.common.distributed import Share
 from training.common.precision import mixed_precision
+from training.common.run_folder import save_whole
 from training.data.windows import FRAME_SHAPE, Batch
 from training.networks.recurrent import EyedFamily, Sight, State
 
@@ -50,14 +50,7 @@ def read_windows(family: EyedFamily, stream: Iterator[Batch], windows: int, path
     save_whole(path, readings)
 
 
-def save_whole(path: Path, content: dict[str, Any]) -> None:
-    """Write a file so that it is never seen half-written."""
-    unfinished = path.with_suffix(".tmp")
-    torch.save(content, unfinished)
-    unfinished.replace(path)
-
-
-def rehearsed(
+def replayed(
     path: Path, batch_size: int, seed: int, first_batch: int, share: Share
 ) -> Iterator[Batch]:
     """Draw a share of batches of readings for ever; batch k depends on the seed and on k alone."""

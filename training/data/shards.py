@@ -40,7 +40,7 @@ VARIETY_STREAM = 1
 """Keeps the draws of :class:`Variety` apart from those of the scene of the same seed."""
 
 SHARDS_PER_WORKER = 4
-"""Shards after which a worker process is replaced: PyBullet leaks (design, section 3)."""
+"""Shards after which a worker process is replaced: PyBullet leaks (decision 0104)."""
 
 
 @dataclass(frozen=True)

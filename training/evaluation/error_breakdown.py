@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 
+from rollcast.markdown import table
 from rollcast.simulation.recording import TEST_START
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.data.scene_cache import load_scene_cache
@@ -67,12 +68,17 @@ def dissection_table(errors: Mapping[str, Mapping[str, np.ndarray]], objects: in
     """Mean errors in pixels by scenario as a Markdown table."""
     horizons = (compared_horizon(objects), generated_horizon(objects))
     columns = [f"{scenario}, T={horizon}" for scenario in errors for horizon in horizons]
-    lines = ["| true | " + " | ".join(columns) + " |", "|" + "---|" * (len(columns) + 1)]
-    for name in SUBSTITUTES:
-        cells = [
-            f"{by_part[name][horizon - 1]:.2f}"
-            for by_part in errors.values()
-            for horizon in horizons
-        ]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    return table(
+        ("true", *columns),
+        [
+            (
+                name,
+                *(
+                    f"{by_part[name][horizon - 1]:.2f}"
+                    for by_part in errors.values()
+                    for horizon in horizons
+                ),
+            )
+            for name in SUBSTITUTES
+        ],
+    )

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.manifest import MetricRow
+from rollcast.markdown import table
 from rollcast.scene import Domain, Scenario
 from rollcast.simulation.recording import TEST_START
 from training.baselines.least_squares import POINTS, polynomial
@@ -91,7 +92,7 @@ class Measured(NamedTuple):
     position_error_px: float
     standard_error_px: float
     angular_velocity_rmse: float | None
-    perplexity: float | None
+    nll_nats: float | None
     coverage_50: float | None
     coverage_95: float | None
 
@@ -99,13 +100,13 @@ class Measured(NamedTuple):
 def measured_at(made: Forecasts, horizons: Iterable[int]) -> dict[int, Measured]:
     """Measure forecasts at some horizons T: the error is that of step T - 1."""
     errors = made.errors_px()
-    spin, perplexity = made.angular_velocity_rmse(), made.perplexity()
+    spin, nll = made.angular_velocity_rmse(), made.nll_nats()
     coverage = made.calibration((0.50, 0.95))
     return {
         horizon: Measured(
             *mean_error(errors[:, :, horizon - 1]),
             None if spin is None else rounded(spin[horizon - 1]),
-            None if perplexity is None else rounded(perplexity[horizon - 1]),
+            None if nll is None else rounded(nll[horizon - 1]),
             None if coverage is None else rounded(coverage[0.50][horizon - 1]),
             None if coverage is None else rounded(coverage[0.95][horizon - 1]),
         )
@@ -136,13 +137,15 @@ def metric_rows(
         line = np.linalg.norm(part.line - truth, axis=-1).mean(axis=(0, 1))
         for horizon, measured in measured_at(made, horizons).items():
             step = horizon - 1
+            figures = measured._asdict()
             rows.append(
                 MetricRow(
                     split="validation" if part.split == "validation" else "test",
                     scenario=part.scenario,
                     horizon=horizon,
                     sequences=len(truth),
-                    **measured._asdict(),
+                    perplexity=figures.pop("nll_nats"),  # its name in manifests
+                    **figures,
                     stays_put_px=rounded(rest[step]),
                     line_px=rounded(line[step]),
                 )
@@ -152,21 +155,21 @@ def metric_rows(
 
 def markdown_table(rows: Sequence[MetricRow]) -> str:
     """Rows as a Markdown table, baselines beside the forecasts."""
-    header = (
-        "| scenario | T | sequences | position error px | ang. vel. RMSE rad/s | "
-        "neg. log likelihood | in 50 % | in 95 % | stays put px | line px |"
-    )
-    lines = [header, "|" + "---|" * 10]
-    for row in rows:
-        cells = (
+    head = (
+        "scenario", "T", "sequences", "position error px", "ang. vel. RMSE rad/s",
+        "neg. log likelihood", "in 50 %", "in 95 %", "constant position px",
+            "linear extrapolation px",
+    )  # fmt: skip
+    return table(
+        head,
+        [(
             row.scenario, row.horizon, row.sequences,
             f"{row.position_error_px:.2f} ± {row.standard_error_px:.2f}",
             _cell(row.angular_velocity_rmse), _cell(row.perplexity),
             _cell(row.coverage_50), _cell(row.coverage_95),
             _cell(row.stays_put_px), _cell(row.line_px),
-        )  # fmt: skip
-        lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
-    return "\n".join(lines)
+        ) for row in rows],
+    )  # fmt: skip
 
 
 def _cell(value: float | None) -> str:

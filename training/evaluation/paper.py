@@ -15,7 +15,12 @@ class Published:
 
     position_error_px: float
     angular_velocity_rmse: float | None = None
-    perplexity: float | None = None
+    nll_nats: float | None = None
+
+
+CONSTANT_POSITION = "constant position"
+LINEAR_EXTRAPOLATION = "linear extrapolation"
+"""The trivial baselines' names in tables."""
 
 
 def published(
@@ -44,9 +49,7 @@ CELLS: Mapping[tuple[Scenario, int, str, str, str], Published] = {
         cell["method"],
         cell["at"],
         cell.get("condition", ""),
-    ): Published(
-        cell["position_error_px"], cell.get("angular_velocity_rmse"), cell.get("perplexity")
-    )
+    ): Published(cell["position_error_px"], cell.get("angular_velocity_rmse"), cell.get("nll_nats"))
     for cell in _PAPER["cells"]
 }
 """Every cell by scenario, number of balls, method, moment and condition."""

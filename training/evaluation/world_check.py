@@ -1,17 +1,19 @@
 """Shows how hard the world is beside the paper's: its averages, re-measured (decision 0014)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
+from rollcast.markdown import table
 from rollcast.scene import SCENARIOS, Scenario
 from rollcast.simulation import Simulator
 from rollcast.simulation.recording import STOPPED_M_S, TEST_START
 from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ
 from training.baselines.least_squares import POINTS, polynomial
 from training.data.splits import seeds
-from training.evaluation.paper import angular_speed_rad_s, published
+from training.evaluation.paper import LINEAR_EXTRAPOLATION, angular_speed_rad_s, published
 
 LONGEST_FRAMES = 900
 """Frames in which every ball has long stopped."""
@@ -50,21 +52,19 @@ def measure(scenario: Scenario, scenes: int) -> Difficulty:
 
 def report(scenes: int) -> str:
     """Markdown table of our world beside the paper's."""
-    lines = [
-        "| scenario | line T=20 px (paper) | line T=40 px (paper) | angular speed rad/s (paper) |",
-        "|---|---|---|---|",
-    ]
+    lines: list[Sequence[str]] = []
     for scenario in SCENARIOS:
         ours = measure(scenario, scenes)
-        line = " | ".join(
+        line = [
             f"{error:.1f} ({_line_of_the_paper(scenario, at)})"
             for error, at in zip(ours.line_px, ("T=20", "T=40"), strict=True)
-        )
+        ]
         speed = f"{ours.angular_speed_rad_s:.2f} ({angular_speed_rad_s(scenario)})"
-        lines.append(f"| {scenario} | {line} | {speed} |")
-    return "\n".join(lines)
+        lines.append((scenario, *line, speed))
+    head = ("linear T=20 px (paper)", "linear T=40 px (paper)", "angular speed rad/s (paper)")
+    return table(("scenario", *head), lines)
 
 
 def _line_of_the_paper(scenario: Scenario, at: str) -> str:
-    cell = published(scenario, 1, "line", at)
+    cell = published(scenario, 1, LINEAR_EXTRAPOLATION, at)
     return "-" if cell is None else str(cell.position_error_px)

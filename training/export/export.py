@@ -30,8 +30,8 @@ from rollcast.manifest import (
     gaussian_radius,
 )
 from rollcast.trajectory import OBSERVED_FRAMES
+from training.common.run_folder import read_best
 from training.data.windows import Window, collate
-from training.engine.trainer import BEST
 from training.evaluation.evaluate import EvaluationSet, Shown, evaluation_sets, metric_rows, run
 from training.export.model_card import model_card
 from training.export.onnx_graphs import (
@@ -81,7 +81,7 @@ def export_run(
     ValueError
         When torch and ONNX Runtime differ by more than the tolerance.
     """
-    best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
+    best = read_best(folder)
     kind = (recipe.scenarios, recipe.task.objects, recipe.task.final_step)
     validation = evaluation_sets(*kind, "validation", recipe.validation_scenes, workers)
     test = evaluation_sets(*kind, "test", test_scenes, workers)
@@ -101,7 +101,7 @@ def export(
     validation: Sequence[EvaluationSet[Shown]],
     test: Sequence[EvaluationSet[Shown]],
 ) -> Manifest:
-    """Write ``models/NAME/VERSION`` and prove that it computes what torch does.
+    """Write ``models/NAME/VERSION`` and validate that it computes what torch does.
 
     Parameters
     ----------
@@ -126,9 +126,9 @@ def export(
     windows = _spread(validation, 3)
     # Not beyond the trained horizon: there a rollout may magnify any rounding.
     parity = measure_parity(predictor, folder, windows, horizons=(max(horizon // 2, 1), horizon))
-    judged = judge(partial(run, predictor), validation, test, horizon)
+    summary = evaluate(partial(run, predictor), validation, test, horizon)
     observation = first_observation(predictor, sample)
-    card = model_card(trained, version, judged.rows, judged.covariance)
+    card = model_card(trained, version, summary.rows, summary.covariance)
     (folder / CARD_FILE).write_text(card, encoding="utf-8")
     manifest = Manifest(
         format_version=1,
@@ -157,7 +157,7 @@ def export(
             )
             for name in observation
         ),
-        covariance=judged.covariance,
+        covariance=summary.covariance,
         angular_velocity="angular_velocities" in observation,
         training={
             "sequences": trained.sequences,
@@ -165,9 +165,9 @@ def export(
             "interaction": task.interaction,
             "scenes" if trained.filmed is None else "clips": {**trained.sources},
         },
-        rig=None if trained.filmed is None else trained.filmed.rig,
-        metrics=judged.rows,
-        validation_error_px=judged.validation_error_px,
+        setup=None if trained.filmed is None else trained.filmed.setup,
+        metrics=summary.rows,
+        validation_error_px=summary.validation_error_px,
         parity=parity,
         golden_tolerance={name: TOLERANCE[name] for name in observation},
         files=hashes(folder),
@@ -186,7 +186,7 @@ class EvaluationSummary:
     validation_error_px: float
 
 
-def judge(
+def evaluate(
     forecast: Callable[[Sequence[EvaluationSet[Shown]]], Mapping[Shown, Forecasts]],
     validation: Sequence[EvaluationSet[Shown]],
     test: Sequence[EvaluationSet[Shown]],
@@ -280,7 +280,7 @@ def fit_covariance(forecasts: Mapping[Key, Forecasts]) -> CovarianceSource:
                 ((round(m[0][0], 4), round(m[0][1], 4)), (round(m[1][0], 4), round(m[1][1], 4)))
                 for m in moments.tolist()
             ),
-            half_radius=_half_radius(distances_sigmas(residuals, moments)),
+            ellipse50_radius=_half_radius(distances_sigmas(residuals, moments)),
         )
     joined = np.concatenate(covariances).reshape(-1, residuals.shape[1], 2, 2)
     distances = distances_sigmas(residuals, joined.astype(float))
@@ -290,7 +290,7 @@ def fit_covariance(forecasts: Mapping[Key, Forecasts]) -> CovarianceSource:
     return CovarianceSource(
         source="predicted",
         variance_scale=tuple(round(value, 4) for value in scale.tolist()),
-        half_radius=_half_radius(distances / np.sqrt(scale)),
+        ellipse50_radius=_half_radius(distances / np.sqrt(scale)),
     )
 
 
@@ -307,7 +307,9 @@ def with_covariance(
         scenario: replace(
             made,
             covariances=_served_covariances(made, covariance),
-            half_radii=None if covariance.half_radius is None else np.array(covariance.half_radius),
+            ellipse50_radii=None
+            if covariance.ellipse50_radius is None
+            else np.array(covariance.ellipse50_radius),
         )
         for scenario, made in forecasts.items()
     }

@@ -5,22 +5,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
-from rollcast.manifest import Manifest, Rig
+from rollcast.manifest import CameraSetup, Manifest
 from training.baselines.least_squares import POINTS, polynomial
+from training.common.run_folder import read_best
 from training.data.clip_dataset import EVERY, Clips
 from training.data.splits import Split
-from training.engine.trainer import BEST
 from training.evaluation.evaluate import EvaluationSet
 from training.export.export import export
 from training.export.ood_fit import familiarise_clips
 from training.export.spec import FootageSpec, Trained
 from training.recipes.recipe import Recipe
-from training.recipes.rig import T_GEN
+from training.recipes.setup import T_GEN
 
 
-def export_rig(
+def export_setup(
     recipe: Recipe,
     folder: Path,
     clips: Mapping[Split, Clips],
@@ -45,7 +44,7 @@ def export_rig(
     ValueError
         When torch and ONNX Runtime differ by more than the tolerance.
     """
-    best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
+    best = read_best(folder)
     (member,) = recipe.members
     (predictor,) = recipe.build().networks().values()
     predictor.load_state_dict(best["weights"][member.name])
@@ -75,4 +74,4 @@ def _filmed(clips: Clips) -> FootageSpec:
         windows[clips.clips[place.clip].name] += 1
     crop = (first.crop.x, first.crop.y, first.crop.size)
     rate = float(np.median([clip.frame_rate for clip in clips.clips]))
-    return FootageSpec(Rig(colors=clips.colors, crop=crop), round(rate, 3), windows)
+    return FootageSpec(CameraSetup(colors=clips.colors, crop=crop), round(rate, 3), windows)

@@ -6,7 +6,7 @@ import onnx
 import torch
 
 from rollcast.manifest import ENCODER_FILE, EYE_FILE, MANIFEST_FILE, STEP_FILE, Manifest
-from training.engine.trainer import BEST
+from training.common.run_folder import BEST, read_best
 from training.engine.warm_start import Initial, placed
 from training.export.weight_rounding import stored_weights
 from training.networks.presets import PRESETS
@@ -35,7 +35,7 @@ def initial_networks(folder: Path) -> list[Initial]:
     """Return what a training starts with: an exported model, or the best networks of a run."""
     if not (folder / BEST).exists():
         return [read_initial(folder)]
-    best = torch.load(folder / BEST, map_location="cpu", weights_only=True)
+    best = read_best(folder)
     return [Initial(name, weights, best["sequences"]) for name, weights in best["weights"].items()]
 
 

@@ -54,8 +54,8 @@ to forecast {horizon} steps.
 ## Measured
 
 128-pixel units, mean over {measured}; T is the
-horizon, so the error is that of step T - 1. "Stays put" and "line" (through ten true positions,
-t = -3..6) are measured on the same scenes.
+horizon, so the error is that of step T - 1. "Constant position" and "linear extrapolation"
+(through ten true positions, t = -3..6) are measured on the same scenes.
 
 ### Test
 

@@ -7,10 +7,12 @@ training starts from.
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import onnx
 import torch
+from jaxtyping import UInt8
 from torch import Tensor
 
 from rollcast.manifest import (
@@ -23,11 +25,15 @@ from rollcast.manifest import (
     OutputName,
 )
 from rollcast.perception_io import FINALS, PLACES, run_perception
+from rollcast.rollout import Arrays, Step, roll_out
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.common.settings import keep_runtime_silent
 from training.export.weight_rounding import rename, store_in_bytes
 from training.networks.perception import Eye, EyedNetwork, looked
 from training.networks.recurrent import Network, Observation, Reading, State
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
 
 STATE_NAMES = State._fields
 READ_NAMES = Reading._fields[1:-1]
@@ -169,7 +175,7 @@ def drop_traces(graph: onnx.GraphProto) -> None:
 
 
 class Graphs:
-    """An artefact's graphs, opened on one thread as the service does: to prove and to measure them.
+    """An artefact's graphs, opened on one thread as in the service, to validate them.
 
     Parameters
     ----------
@@ -191,32 +197,27 @@ class Graphs:
         self._eye = opened.get(EYE_FILE)
         self._encoder, self._step = opened[ENCODER_FILE], opened[STEP_FILE]
         self._read = [one.name for one in self._encoder.get_inputs()]
-        named = {one.name for one in self._encoder.get_outputs()}
-        self._outputs: list[OutputName] = [name for name in OUTPUT_SHAPES if name in named]
 
-    def roll(self, frames: np.ndarray, horizon: int) -> dict[OutputName, np.ndarray]:
-        """Forecast the steps 0..horizon-1 of frames: outputs [B, N, T, ...] by name."""
+    def encode(self, frames: UInt8[np.ndarray, "B K 128 128 3"]) -> Step:
+        """Return the first state and the outputs of step t = 0."""
         seen = {FRAMES_INPUT: frames}
         if self._eye is not None:
             seen = run_perception(self._eye.run, self._read, frames)
-        values = self._encoder.run([*STATE_NAMES, *self._outputs], seen)
-        state, first = values[: len(STATE_NAMES)], values[len(STATE_NAMES) :]
-        rows: dict[OutputName, list[np.ndarray]] = {
-            name: [value] for name, value in zip(self._outputs, first, strict=True)
-        }
-        stepped = _of_a_step(self._outputs)
-        for _ in range(horizon - 1):
-            values = self._step.run(
-                [*(NEXT_PREFIX + name for name in STATE_NAMES), *stepped],
-                dict(zip(STATE_NAMES, state, strict=True)),
-            )
-            state = values[: len(STATE_NAMES)]
-            for name, value in zip(stepped, values[len(STATE_NAMES) :], strict=True):
-                rows[name].append(value)
-        return {
-            name: np.stack(parts, axis=2) if name in stepped else parts[0]
-            for name, parts in rows.items()
-        }
+        return _step(self._encoder, seen)
+
+    def advance(self, state: Arrays) -> Step:
+        """Return the next state and the outputs of its step."""
+        return _step(self._step, state)
+
+    def roll(self, frames: np.ndarray, horizon: int) -> dict[OutputName, np.ndarray]:
+        """Forecast the steps 0..horizon-1 of frames: outputs [B, N, T, ...] by name."""
+        return dict(roll_out(self, frames, horizon))
+
+
+def _step(session: "InferenceSession", inputs: Arrays) -> Step:
+    names = [one.name for one in session.get_outputs()]
+    values = dict(zip(names, session.run(names, dict(inputs)), strict=True))
+    return Step.split(values, [name for name in OUTPUT_SHAPES if name in values])
 
 
 def present(observation: Observation) -> tuple[Tensor, ...]:

@@ -55,7 +55,7 @@ def familiarise(folders: Sequence[Path], scenes: int, workers: int) -> list[Mani
             one for s in sources for one in source_frame_stats(s, "validation", scenes, workers)
         ]
         fresh = [one for s in sources for one in fixed_looks(s, workers)]
-        unfamiliar = judge(familiarity, known, fresh)
+        unfamiliar = calibrate_threshold(familiarity, known, fresh)
         written += [keep(familiarity, unfamiliar, folder) for folder in alike]
     return written
 
@@ -68,7 +68,7 @@ def _sources(scenarios: Sequence[Scenario], objects: int) -> list[Source]:
     return sources
 
 
-def judge(
+def calibrate_threshold(
     familiarity: Familiarity, known: Sequence[FrameStats], fresh: Sequence[FrameStats]
 ) -> Unfamiliar:
     """Choose the threshold on known frames; count how often fresh ones exceed it."""
@@ -92,7 +92,7 @@ def familiarise_clips(folder: Path, clips: Mapping[Split, Clips]) -> Manifest:
     known, fresh = (
         clip_frame_stats(clips[split], symmetric=False) for split in ("validation", "test")
     )
-    return keep(fitted, judge(fitted, known, fresh), folder)
+    return keep(fitted, calibrate_threshold(fitted, known, fresh), folder)
 
 
 def keep(familiarity: Familiarity, unfamiliar: Unfamiliar, folder: Path) -> Manifest:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from rollcast.manifest import Rig
+from rollcast.manifest import CameraSetup
 from rollcast.scene import Domain
 from rollcast.trajectory import FRAME_RATE_HZ
 from training.networks.recurrent import Network
@@ -16,7 +16,7 @@ LICENCE = "Apache-2.0"
 class FootageSpec:
     """The footage that a network was trained on."""
 
-    rig: Rig
+    setup: CameraSetup
     frame_rate_hz: float
     windows: Mapping[str, int]
     """Training windows, by clip."""

@@ -31,7 +31,7 @@ from rollcast.scene import Scenario
 from training.common.settings import keep_runtime_silent
 from training.data.windows import collate, compared_horizon
 from training.evaluation.evaluate import EvaluationSet, evaluation_sets, markdown_table
-from training.export.export import EvaluationSummary, hashes, judge
+from training.export.export import EvaluationSummary, evaluate, hashes
 from training.export.onnx_graphs import Graphs, drop_traces
 from training.export.weight_rounding import store_in_bytes
 from training.objectives.metrics import Forecasts, beside_truth
@@ -85,10 +85,10 @@ def quantise(source: Path, version: int, test_scenes: int, workers: int) -> Mani
         slow, fast = Graphs(source), Graphs(folder)
         gain = _gain(slow, fast, validation[0], horizon)
         test = sets_of("test", test_scenes)
-        judged = judge(partial(_forecasts, fast), validation, test, float32.trained_horizon)
+        summary = evaluate(partial(_forecasts, fast), validation, test, float32.trained_horizon)
         loss = {
             row.scenario: row.position_error_px - before.position_error_px
-            for row, before in zip(judged.rows, float32.metrics, strict=True)
+            for row, before in zip(summary.rows, float32.metrics, strict=True)
             if (row.split, row.horizon) == ("validation", horizon)
         }
         changes = ", ".join(f"{change:+.2f} px ({scenario})" for scenario, change in loss.items())
@@ -96,14 +96,14 @@ def quantise(source: Path, version: int, test_scenes: int, workers: int) -> Mani
         if gain < LEAST_GAIN or max(loss.values()) > MOST_LOSS_PX:
             raise NotWorthItError(f"{float32.label} in 8 bits: {said}; nothing is written")
         parity = _write_golden(fast, source / GOLDEN_FILE, folder / GOLDEN_FILE, horizon)
-        card = _card(float32, version, said, judged)
+        card = _card(float32, version, said, summary)
         (folder / CARD_FILE).write_text(card, encoding="utf-8")
         changed = {
             "version": version,
             "default": False,
-            "covariance": judged.covariance,
-            "metrics": judged.rows,
-            "validation_error_px": judged.validation_error_px,
+            "covariance": summary.covariance,
+            "metrics": summary.rows,
+            "validation_error_px": summary.validation_error_px,
             "training": float32.training | {"quantised": f"{float32.label}: {said}"},
             "parity": parity,
             "golden_tolerance": {name: TOLERANCE[name] for name in float32.output_names},
@@ -218,7 +218,7 @@ def _write_golden(graphs: Graphs, source: Path, to: Path, horizon: int) -> Parit
     return Parity(max_abs_error=off, tolerance={name: TOLERANCE[name] for name in off})
 
 
-def _card(float32: Manifest, version: int, said: str, judged: EvaluationSummary) -> str:
+def _card(float32: Manifest, version: int, said: str, summary: EvaluationSummary) -> str:
     """Model card in Markdown."""
     return f"""# {float32.name}@{version}
 
@@ -233,9 +233,9 @@ says of its training, its limits and its licence holds for this version too.
 
 ### Test
 
-{markdown_table([row for row in judged.rows if row.split == "test"])}
+{markdown_table([row for row in summary.rows if row.split == "test"])}
 
 ### Validation
 
-{markdown_table([row for row in judged.rows if row.split == "validation"])}
+{markdown_table([row for row in summary.rows if row.split == "validation"])}
 """

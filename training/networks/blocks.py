@@ -1,4 +1,4 @@
-"""Building blocks of the networks (paper, section 3; design, section 4).
+"""Building blocks of the networks (paper, section 3; decision 0012).
 
 Shape suffixes: B batch, N objects, T steps, C channels, H and W grid, K seen frames, P motion
 state.

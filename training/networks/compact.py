@@ -1,4 +1,4 @@
-"""The compact preset: every variant over an 8 x 8 x 128 state (design, section 4)."""
+"""The compact preset: every variant over an 8 x 8 x 128 state (decision 0012)."""
 
 from collections.abc import Callable, Mapping
 

@@ -1,6 +1,6 @@
 """FieldNet: balls with an explicit state, moved over a map of the ground that the eye draws.
 
-A network of ours beside the paper's (design, section 4). Units as in ``eye.py``.
+A network of ours beside the paper's (decision 0016). Units as in ``eye.py``.
 """
 
 from collections.abc import Mapping
@@ -150,12 +150,12 @@ class Rolling(nn.Module):
         self.layers = nn.Sequential(
             nn.Linear(felt, hidden), nn.SiLU(), nn.Linear(hidden, hidden), nn.SiLU()
         )
-        self.override = nn.Linear(hidden, 9)
+        self.change = nn.Linear(hidden, 9)
         # Plain bounces and free rolling are linear in what is felt.
         self.linear = nn.Linear(felt, 9, bias=False)
         # Doubt listens without changing what is said of the positions.
         self.doubt = nn.Sequential(nn.Linear(felt + 3, 64), nn.SiLU(), nn.Linear(64, 3))
-        for last in (self.override, self.linear, self.doubt[-1]):
+        for last in (self.change, self.linear, self.doubt[-1]):
             assert isinstance(last, nn.Linear)
             for parameter in last.parameters():
                 nn.init.zeros_(parameter)
@@ -163,7 +163,7 @@ class Rolling(nn.Module):
     def forward(self, ball: Ball, ground_B3GG: Tensor) -> Ball:
         """Balls [B, N, ...] a frame later."""
         felt = self._felt(ball, ground_B3GG)
-        change = of_each(self.override, of_each(self.layers, felt)) + of_each(self.linear, felt)
+        change = of_each(self.change, of_each(self.layers, felt)) + of_each(self.linear, felt)
         moved, pushed, turned = change.split(3, dim=-1)
         doubting = torch.cat([ball.doubt, felt], dim=-1).detach()
         doubt = ball.doubt + of_each(self.doubt, doubting)
@@ -208,10 +208,10 @@ class Bend(nn.Module):
         self.layers = nn.Sequential(
             nn.Linear(known, hidden), nn.SiLU(), nn.Linear(hidden, hidden), nn.SiLU()
         )
-        self.override = nn.Linear(hidden, 4 + 2 + 3)
+        self.change = nn.Linear(hidden, 4 + 2 + 3)
         # Doubt listens without changing what is said of the positions.
         self.doubt = nn.Sequential(nn.Linear(known + 3, 64), nn.SiLU(), nn.Linear(64, 3))
-        for last in (self.override, self.doubt[-1]):
+        for last in (self.change, self.doubt[-1]):
             assert isinstance(last, nn.Linear)
             nn.init.zeros_(last.weight)
             nn.init.zeros_(last.bias)
@@ -219,7 +219,7 @@ class Bend(nn.Module):
     def forward(self, ball: Ball, ground_B3GG: Tensor, course: Course) -> Ball:
         """Balls [B, N, ...] where they are on their bent ways."""
         known = self._known(ball, ground_B3GG, course)
-        change = of_each(self.override, of_each(self.layers, known))
+        change = of_each(self.change, of_each(self.layers, known))
         gain, aside, turned = change.split((4, 2, 3), dim=-1)
         doubting = torch.cat([ball.doubt, known], dim=-1).detach()
         u, miss = course.passed, course.miss

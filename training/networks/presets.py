@@ -1,4 +1,4 @@
-"""Presets by name: each composes every variant from its own parts (design, section 4)."""
+"""Presets by name: each composes every variant from its own parts (decision 0012)."""
 
 from collections.abc import Mapping
 from typing import Protocol

@@ -1,4 +1,4 @@
-"""The recurrent predictor: encoder, transition, motion, read-outs, composed (design, section 4)."""
+"""The recurrent predictor: encoder, transition, motion, read-outs, composed (paper, section 3)."""
 
 import math
 from abc import ABC, abstractmethod

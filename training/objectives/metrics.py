@@ -28,7 +28,7 @@ class Forecasts:
     angular_velocities: Float[np.ndarray, "sequences objects steps 3"] | None
     true_positions: Float[np.ndarray, "sequences objects steps 2"]
     true_angular_velocities: Float[np.ndarray, "sequences objects steps 3"]
-    half_radii: Float[np.ndarray, " steps"] | None = None
+    ellipse50_radii: Float[np.ndarray, " steps"] | None = None
     """Standard deviations: of the ellipses that should hold half of the truths; None: a
     Gaussian's."""
 
@@ -41,7 +41,7 @@ class Forecasts:
             None if spins is None else spins[:, chosen],
             self.true_positions[:, chosen],
             self.true_angular_velocities[:, chosen],
-            self.half_radii,
+            self.ellipse50_radii,
         )
 
     def errors_px(self) -> Float[np.ndarray, "sequences objects steps"]:
@@ -55,8 +55,8 @@ class Forecasts:
         squared = np.sum((self.angular_velocities - self.true_angular_velocities) ** 2, axis=-1)
         return np.sqrt(squared.mean(axis=(0, 1)))
 
-    def perplexity(self) -> Float[np.ndarray, " steps"] | None:
-        """Mean negative log likelihood in nats, as in the paper's tables (design, section 2)."""
+    def nll_nats(self) -> Float[np.ndarray, " steps"] | None:
+        """Mean negative log likelihood in nats, as in the paper's tables."""
         if self.covariances is None:
             return None
         nll = negative_log_likelihood(
@@ -74,8 +74,8 @@ class Forecasts:
             return None
         distances = distances_sigmas(self.true_positions - self.positions, self.covariances)
         radii: dict[float, float | np.ndarray] = {level: gaussian_radius(level) for level in levels}
-        if self.half_radii is not None and HALF in radii:
-            radii[HALF] = self.half_radii
+        if self.ellipse50_radii is not None and HALF in radii:
+            radii[HALF] = self.ellipse50_radii
         return {level: (distances <= radius).mean(axis=(0, 1)) for level, radius in radii.items()}
 
 

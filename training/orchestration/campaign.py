@@ -12,7 +12,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from rollcast.manifest import MANIFEST_FILE, Manifest
-from training.engine.trainer import Trainer, TrainerConfig
+from training.engine.loop import TrainerConfig
+from training.engine.trainer import Trainer
 from training.engine.warm_start import Initial
 from training.export.load import read_initial
 from training.recipes.field import (

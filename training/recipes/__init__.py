@@ -21,17 +21,19 @@ from training.recipes.field import (
     field_several_balls,
     field_several_balls_between,
 )
-from training.recipes.paper import paper_posnet
+from training.recipes.paper import paper_dispnet, paper_interpnet, paper_posnet, paper_probnet
 from training.recipes.recipe import Recipe
-from training.recipes.rig import rig, rig_continued, rig_seeing
+from training.recipes.setup import setup, setup_continued, setup_seeing
 from training.recipes.sighted import (
     sighted_one_ball,
     sighted_one_ball_between,
     sighted_several_balls,
     sighted_several_balls_between,
 )
+from training.recipes.tiny import tiny
 
 RECIPES: Mapping[str, Callable[[], Recipe]] = {
+    "tiny": tiny,
     "one-ball": one_ball,
     "one-ball-between": one_ball_between,
     "2-balls": partial(several_balls, 2),
@@ -56,9 +58,19 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "sighted-2-balls-between": partial(sighted_several_balls_between, 2),
     "sighted-3-balls-between": partial(sighted_several_balls_between, 3),
     "paper-posnet": paper_posnet,
+    "paper-dispnet": paper_dispnet,
+    "paper-probnet": paper_probnet,
+    "paper-interpnet": paper_interpnet,
     **{
         stage(objects).name: partial(stage, objects)
-        for stage in (rig, rig_seeing, rig_continued)
+        for stage in (setup, setup_seeing, setup_continued)
         for objects in range(1, MAX_FORECAST_OBJECTS + 1)
     },
 }
+
+
+def summary(name: str) -> str:
+    """Return the first line of what a recipe says of itself."""
+    made = RECIPES[name]
+    function = made.func if isinstance(made, partial) else made
+    return (function.__doc__ or "").strip().splitlines()[0].replace("``", "")

@@ -47,7 +47,7 @@ def field_one_ball_appearance() -> Recipe:
             practice=0,
             curriculum=(Milestone(0, 1),),
         ),
-        taught=("rolling.", "first_doubt."),
+        frozen=("rolling.", "first_doubt."),
         earlier_horizon=40,
         learning_rate=8e-4,
         looks=Looks(),

@@ -67,7 +67,7 @@ def field_one_ball_seeing() -> Recipe:
         sequences=384_000,
         curriculum=(Milestone(0, 1), Milestone(0.97, 1), Milestone(1, 20)),
         explicit=replace(recipe.explicit, motion=None, practice=0, curriculum=(Milestone(0, 1),)),
-        taught=("rolling.", "first_doubt."),
+        frozen=("rolling.", "first_doubt."),
         seed=6,
     )
 
@@ -87,7 +87,7 @@ def field_one_ball_rolling() -> Recipe:
         sequences=96_000,
         curriculum=horizons,
         explicit=replace(recipe.explicit, reading=None, practice=64, curriculum=horizons),
-        taught=("eye.",),
+        frozen=("eye.",),
         learning_rate=3e-4,
         gradient_clip=0.5,
         average_decay=0.995,
@@ -109,8 +109,8 @@ def field_one_ball_doubt() -> Recipe:
         sequences=384_000,
         curriculum=(Milestone(0, 40),),
         explicit=None,
-        taught=("eye.", "first_doubt.", *(f"rolling.{part}" for part in motion)),
-        rehearsal=24_000,
+        frozen=("eye.", "first_doubt.", *(f"rolling.{part}" for part in motion)),
+        replay_windows=24_000,
         batch_size=256,
         learning_rate=2e-3,
         gradient_clip=2.0,
@@ -153,7 +153,7 @@ def field_several_balls_between(objects: int) -> Recipe:
     name, member = f"field-{objects}-balls-between", f"fieldnet-{objects}-between"
     recipe = _between(field_several_balls(objects), name, member, final_step=29)
     # Ways in bowls end well by themselves: there is little to learn.
-    return replace(recipe, sequences=128_000, rehearsal=6_400)
+    return replace(recipe, sequences=128_000, replay_windows=6_400)
 
 
 def _between(recipe: Recipe, name: str, member: str, final_step: int) -> Recipe:
@@ -166,8 +166,8 @@ def _between(recipe: Recipe, name: str, member: str, final_step: int) -> Recipe:
         sequences=640_000,
         curriculum=(Milestone(0, final_step + 1),),
         explicit=None,
-        taught=("eye.", "rolling.", "first_doubt."),
-        rehearsal=24_000,
+        frozen=("eye.", "rolling.", "first_doubt."),
+        replay_windows=24_000,
         batch_size=256,
         learning_rate=2e-3,
         average_decay=0.99,

@@ -8,11 +8,15 @@ from typing import Any
 import torch
 
 from training.data.shards import Source
+from training.data.windows import MAX_HORIZON
 from training.networks.blocks import PIXEL_UNIT
-from training.objectives.losses import SpinLoss, SquaredLoss
+from training.networks.task import Task
+from training.objectives.losses import LikelihoodLoss, Loss, SpinLoss, SquaredLoss
 from training.objectives.schedules import Plateau
 from training.recipes.compact import one_ball
 from training.recipes.recipe import DataShare, Member, Milestone, Recipe
+
+T_TRAIN = 20
 
 
 def tensorflows_rmsprop(groups: Iterable[dict[str, Any]], rate: float) -> torch.optim.RMSprop:
@@ -31,21 +35,48 @@ def tensorflows_rmsprop(groups: Iterable[dict[str, Any]], rate: float) -> torch.
 
 
 def paper_posnet() -> Recipe:
-    """PosNet as published, on ellipsoidal bowls; give it ImageNet's weights (``--imagenet``).
+    """PosNet as published, on ellipsoidal bowls; give it ImageNet's weights (``--imagenet``)."""
+    return _published("posnet", SquaredLoss(), 1 / PIXEL_UNIT**2)
 
-    The weights make its losses those of lengths in halves of the frame.
+
+def paper_dispnet() -> Recipe:
+    """DispNet as published, on ellipsoidal bowls; give it ImageNet's weights (``--imagenet``)."""
+    return _published("dispnet", SquaredLoss(), 1 / PIXEL_UNIT**2)
+
+
+def paper_probnet() -> Recipe:
+    """ProbNet as published, on ellipsoidal bowls; give it ImageNet's weights (``--imagenet``).
+
+    The paper adds the regulariser up over the steps of a forecast, of which the loss is the mean.
     """
-    weight = 1 / PIXEL_UNIT**2
+    return _published("probnet", LikelihoodLoss(math.inf, regulariser=0.01 * T_TRAIN))
+
+
+def paper_interpnet() -> Recipe:
+    """InterpNet as published, on ellipsoidal bowls; give it ImageNet's weights (``--imagenet``)."""
+    return replace(
+        _published("interpnet", SquaredLoss(), 1 / PIXEL_UNIT**2),
+        task=Task(final_step=MAX_HORIZON - 1),
+        curriculum=(Milestone(0, MAX_HORIZON),),
+    )
+
+
+def _published(variant: str, loss: Loss, weight: float = 1.0) -> Recipe:
+    """Return what the four have in common.
+
+    The weights make squared losses those of lengths in halves of the frame.
+    """
+    name = f"paper-{variant}"
     return replace(
         one_ball(),
-        name="paper-posnet",
+        name=name,
         preset="paper",
-        members=(Member("paper-posnet", "posnet", SquaredLoss(), weight),),
-        spin_loss=SpinLoss(halving=math.inf, weight=weight, squared=True),
+        members=(Member(name, variant, loss, weight),),
+        spin_loss=SpinLoss(halving=math.inf, weight=1 / PIXEL_UNIT**2, squared=True),
         data=(DataShare(Source("ellipsoid"), 1800, 1.0, 200),),
         scenarios=("ellipsoid",),
         sequences=17_500_000,
-        curriculum=(Milestone(0, 20),),
+        curriculum=(Milestone(0, T_TRAIN),),
         batch_size=50,
         learning_rate=1e-4,
         optimiser=tensorflows_rmsprop,

@@ -125,9 +125,9 @@ class Recipe:
     """Longest gradient, in multiples of the usual length: one batch cannot throw a rollout off."""
     average_decay: float = 0.999
     """Of the exponential moving average of the weights, which is what gets evaluated."""
-    taught: tuple[str, ...] = ()
+    frozen: tuple[str, ...] = ()
     """Parts that stay as they are: what the names of their parameters begin with."""
-    rehearsal: int = 0
+    replay_windows: int = 0
     """Windows that are seen once, by a taught eye; batches are then drawn from what it read. With
     none, every batch is seen anew."""
     validation_scenes: int = 100
@@ -137,7 +137,7 @@ class Recipe:
     """For networks with an explicit state."""
 
     earlier_horizon: int = 0
-    """Steps of the longest rollouts that trained what is ``taught`` already."""
+    """Steps of the longest rollouts that trained what is ``frozen``."""
 
     looks: Looks | None = None
     """What training windows look like; None for the paper's look alone."""

@@ -28,8 +28,8 @@ def sighted_one_ball() -> Recipe:
         sequences=160_000,
         curriculum=horizons,
         explicit=Explicit(None, None, practice=32, curriculum=horizons),
-        taught=("encoder.eye.",),
-        rehearsal=24_000,
+        frozen=("encoder.eye.",),
+        replay_windows=24_000,
         learning_rate=1.5e-3,
     )
 
@@ -55,7 +55,7 @@ def sighted_several_balls(objects: int) -> Recipe:
         scenarios=compact.scenarios,
         task=Task(objects),
         sequences=44_800,
-        rehearsal=12_800,
+        replay_windows=12_800,
         curriculum=horizons,
         explicit=replace(one.explicit, curriculum=horizons),
     )

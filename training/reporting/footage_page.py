@@ -11,25 +11,27 @@ from pathlib import Path
 
 import torch
 
+from rollcast.markdown import table
 from rollcast.tracking.quality import Quality
 from rollcast.tracking.track import track
 from training.common.settings import runs_folder
 from training.data.clip_dataset import SETUP_FILE, Clip, Clips, Setup, load_clips
 from training.data.splits import Split
-from training.engine.trainer import Trainer, TrainerConfig
+from training.engine.loop import TrainerConfig
+from training.engine.trainer import Trainer
 from training.export.load import initial_networks, load_exported
 from training.networks.recurrent import Family
 from training.objectives.metrics import forecast
 from training.recipes.recipe import Milestone, Recipe
-from training.recipes.rig import T_TRAIN, rig, rig_continued, rig_seeing
-from training.reporting.footage_report import Measured, Rig, markdown, measure, rows_of
+from training.recipes.setup import T_TRAIN, setup, setup_continued, setup_seeing
+from training.reporting.footage_report import Measured, SetupClips, markdown, measure, rows_of
 
 BEGIN, END = "<!-- made by `python -m training real` -->", "<!-- end of it -->"
 """Between these marks of the page stands what was measured."""
 MODELS = Path(__file__).parents[2] / "models"
 ONE_BALL, SEVERAL_BALLS = MODELS / "fieldnet" / "1", MODELS / "fieldnet-3" / "1"
 """What simulation taught."""
-STAGES = {1: (rig, rig_continued), 4: (rig, rig_seeing, rig_continued)}
+STAGES = {1: (setup, setup_continued), 4: (setup, setup_seeing, setup_continued)}
 """Trainings on the arena, each of which goes on from the one before, by number of balls: four that
 look alike are what an eye needs lessons for."""
 SEEING = ("vin", "v-lstm")
@@ -174,16 +176,23 @@ def tracked(source: Path, filmed: FootageSource) -> list[Quality]:
 
 def tracking_table(reports: Sequence[tuple[str, Quality]]) -> str:
     """Make the table of the reports."""
-    lines = ["| clip | frames | balls found | gaps | jumps | suspected swaps |", "|---" * 6 + "|"]
-    lines += [
-        f"| {title} | {one.frames:,} | {100 * one.found:.1f} % | {len(one.gaps)} "
-        f"| {len(one.jumps)} | {len(one.suspected_swaps)} |"
-        for title, one in reports
-    ]
-    return "\n".join(lines)
+    return table(
+        ("clip", "frames", "balls found", "gaps", "jumps", "suspected swaps"),
+        [
+            (
+                title,
+                f"{one.frames:,}",
+                f"{100 * one.found:.1f} %",
+                len(one.gaps),
+                len(one.jumps),
+                len(one.suspected_swaps),
+            )
+            for title, one in reports
+        ],
+    )
 
 
-def arena(objects: int, baselines: Sequence[str]) -> tuple[Rig, list[Measured]]:
+def arena(objects: int, baselines: Sequence[str]) -> tuple[SetupClips, list[Measured]]:
     """Measure baselines and networks on the arena's first ball, or on all of them."""
     balls = None if objects == ARENA.balls else list(range(objects))
     clips: dict[Split, Clips] = {
@@ -193,12 +202,12 @@ def arena(objects: int, baselines: Sequence[str]) -> tuple[Rig, list[Measured]]:
     begin = ONE_BALL if objects == 1 else SEVERAL_BALLS
     for recipe in recipes:
         begin = trained(recipe, clips, begin)
-    of_arena = Rig(clips)
+    of_arena = SetupClips(clips)
     chosen = [name for name in baselines if objects == 1 or name not in SEEING]
     return of_arena, list(measure(of_arena, chosen, recipes))
 
 
-def left_out(shot: Shot, others: Sequence[Shot]) -> tuple[Rig, list[Measured]]:
+def left_out(shot: Shot, others: Sequence[Shot]) -> tuple[SetupClips, list[Measured]]:
     """Measure a pool clip that training did not see, on every window up to T_TRAIN."""
     known = Clips([_alone(other) for other in others])
     clips: dict[Split, Clips] = {
@@ -206,13 +215,13 @@ def left_out(shot: Shot, others: Sequence[Shot]) -> tuple[Rig, list[Measured]]:
     }  # fmt: skip
     recipe = of_one_clip(f"without-{shot.filmed.name}")
     trained(recipe, clips, ONE_BALL)
-    of_pool = Rig(clips, T_TRAIN, every=1)
+    of_pool = SetupClips(clips, T_TRAIN, every=1)
     _, network = load_exported(ONE_BALL)
     untaught = forecast(
         Family({"it": network}), of_pool.windows("test"), T_TRAIN, torch.device("cpu")
     )["it"]
     return of_pool, [
-        *measure(of_pool, ("stays put", "linear", "quadratic"), []),
+        *measure(of_pool, ("constant position", "linear", "quadratic"), []),
         *rows_of("fieldnet@1, as simulation taught it", untaught, of_pool.moments),
         *measure(of_pool, (), [recipe]),
     ]
@@ -220,7 +229,7 @@ def left_out(shot: Shot, others: Sequence[Shot]) -> tuple[Rig, list[Measured]]:
 
 def of_one_clip(name: str) -> Recipe:
     """Return a short fine-tuning up to T_TRAIN of a network for one ball."""
-    recipe = rig(1)
+    recipe = setup(1)
     assert recipe.explicit is not None
     horizons = (Milestone(0, 1), Milestone(0.3, 2), Milestone(0.8, T_TRAIN))
     return replace(

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from rollcast.markdown import table
 from rollcast.trajectory import FIRST_FORECAST_FRAME
 from training.baselines.fitting import FitConfig, fit
 from training.baselines.ifs import FRAMES, Ifs
@@ -18,18 +19,18 @@ from training.baselines.least_squares import POINTS, polynomial
 from training.baselines.states import HALF_FRAME_PX, States, turned
 from training.baselines.vin import Vin
 from training.baselines.vlstm import VLstm
+from training.common.run_folder import read_best
 from training.common.settings import runs_folder
 from training.data.clip_dataset import EVERY, Clips, ClipStream, Place
 from training.data.splits import Split
 from training.data.windows import Batch, Window, collate
-from training.engine.trainer import BEST
 from training.evaluation.evaluate import mean_error
 from training.export.export import fit_covariance, with_covariance
 from training.networks.recurrent import Family
 from training.objectives.metrics import Forecasts, beside_truth, forecast, stays_put
 from training.objectives.schedules import Cosine, Exponential, Plateau
 from training.recipes.recipe import Recipe
-from training.recipes.rig import T_GEN, T_TRAIN
+from training.recipes.setup import T_GEN, T_TRAIN
 
 BUDGET = 24_000
 """Training sequences of every baseline that learns."""
@@ -50,7 +51,7 @@ class Measured(NamedTuple):
     """Shares of the truths inside the ellipses of 50 and 95 %, by T; None without ellipses."""
 
 
-class Rig:
+class SetupClips:
     """Clips by split, and the windows that everybody is measured on.
 
     Parameters
@@ -90,7 +91,9 @@ class Rig:
         return _states(self.clips[split], self.places[split], FIRST_FORECAST_FRAME + self.horizon)
 
 
-def measure(rig: Rig, baselines: Sequence[str], trained: Sequence[Recipe]) -> Iterator[Measured]:
+def measure(
+    setup: SetupClips, baselines: Sequence[str], trained: Sequence[Recipe]
+) -> Iterator[Measured]:
     """Measure baselines and trained networks on the test clips, one row after the other.
 
     Parameters
@@ -98,12 +101,12 @@ def measure(rig: Rig, baselines: Sequence[str], trained: Sequence[Recipe]) -> It
     baselines
         Of :data:`BASELINES`; those that learn are trained if they have not been.
     trained
-        Recipes whose runs are there, for as many balls as the rig has.
+        Recipes whose runs are there, for as many balls as the setup has.
     """
     for name in baselines:
-        yield from rows_of(name, BASELINES[name](rig), rig.moments)
+        yield from rows_of(name, BASELINES[name](setup), setup.moments)
     for recipe in trained:
-        yield from rows_of(recipe.name, _network(rig, recipe), rig.moments)
+        yield from rows_of(recipe.name, _network(setup, recipe), setup.moments)
 
 
 def rows_of(method: str, made: Forecasts, moments: Sequence[int]) -> Iterator[Measured]:
@@ -123,71 +126,73 @@ def _measured(method: str, balls: str, made: Forecasts, moments: Sequence[int]) 
     )
 
 
-def _network(rig: Rig, recipe: Recipe) -> Forecasts:
+def _network(setup: SetupClips, recipe: Recipe) -> Forecasts:
     """Forecast with a run's best weights; the ellipses' scale comes from the validation clips."""
-    best = torch.load(runs_folder() / recipe.name / BEST, map_location="cpu", weights_only=True)
+    best = read_best(runs_folder() / recipe.name)
     (name, network), *_ = recipe.build().networks().items()
     network.load_state_dict(best["weights"][name])
     family, cpu = Family({"it": network}), torch.device("cpu")
     known, unseen = (
-        {"footage": forecast(family, rig.windows(split), rig.horizon, cpu)["it"]}
+        {"footage": forecast(family, setup.windows(split), setup.horizon, cpu)["it"]}
         for split in ("validation", "test")
     )
     return with_covariance(unseen, fit_covariance(known))["footage"]
 
 
-def _resting(rig: Rig) -> Forecasts:
-    windows = rig.windows("test")
+def _constant_position(setup: SetupClips) -> Forecasts:
+    windows = setup.windows("test")
     truth = np.stack([window.positions for window in windows])
     return beside_truth(windows, stays_put(truth), None, None)
 
 
-def _least_squares(degree: int, rig: Rig) -> Forecasts:
-    positions = polynomial(rig.histories("test"), degree, rig.horizon)
-    return beside_truth(rig.windows("test"), positions, None, None)
+def _least_squares(degree: int, setup: SetupClips) -> Forecasts:
+    positions = polynomial(setup.histories("test"), degree, setup.horizon)
+    return beside_truth(setup.windows("test"), positions, None, None)
 
 
-def _ifs(rig: Rig) -> Forecasts:
+def _ifs(setup: SetupClips) -> Forecasts:
     fit_config = FitConfig[States](
         BUDGET // BATCH,
-        partial(_drawn_states, rig.clips["training"]),
+        partial(_drawn_states, setup.clips["training"]),
         lambda parameters: torch.optim.Adam(parameters, 5e-4),
         Plateau,
         BATCH,
     )
 
     def made(learner: Learner[States], split: Split) -> Forecasts:
-        positions, _ = learner.forecast(rig.states(split), rig.horizon).arrays()
-        return beside_truth(rig.windows(split), positions, None, None)
+        positions, _ = learner.forecast(setup.states(split), setup.horizon).arrays()
+        return beside_truth(setup.windows(split), positions, None, None)
 
-    return _trained(rig, "ifs", partial(Ifs, angular_velocity=False), fit_config, made)
+    return _trained(setup, "ifs", partial(Ifs, angular_velocity=False), fit_config, made)
 
 
-def _vin(rig: Rig) -> Forecasts:
+def _vin(setup: SetupClips) -> Forecasts:
     fit_config = FitConfig[Batch](
         BUDGET // BATCH,
-        partial(_drawn_frames, rig.clips["training"], BATCH),
+        partial(_drawn_frames, setup.clips["training"], BATCH),
         lambda parameters: torch.optim.Adam(parameters, 5e-4),
         lambda: Exponential(0.1),
         BATCH,
     )
-    return _trained(rig, "vin", partial(Vin, rig.objects, T_TRAIN), fit_config, partial(_seen, rig))
+    return _trained(
+        setup, "vin", partial(Vin, setup.objects, T_TRAIN), fit_config, partial(_seen, setup)
+    )
 
 
-def _v_lstm(rig: Rig) -> Forecasts:
+def _v_lstm(setup: SetupClips) -> Forecasts:
     fit_config = FitConfig[Batch](
         BUDGET // LSTM_BATCH,
-        partial(_drawn_frames, rig.clips["training"], LSTM_BATCH),
+        partial(_drawn_frames, setup.clips["training"], LSTM_BATCH),
         lambda parameters: torch.optim.Adam(parameters, 3e-4),
         Cosine,
         LSTM_BATCH,
     )
-    build = partial(VLstm, rig.objects, T_TRAIN, angular_velocity=False)
-    return _trained(rig, "v-lstm", build, fit_config, partial(_seen, rig))
+    build = partial(VLstm, setup.objects, T_TRAIN, angular_velocity=False)
+    return _trained(setup, "v-lstm", build, fit_config, partial(_seen, setup))
 
 
-BASELINES: Mapping[str, Callable[[Rig], Forecasts]] = {
-    "stays put": _resting,
+BASELINES: Mapping[str, Callable[[SetupClips], Forecasts]] = {
+    "constant position": _constant_position,
     "linear": partial(_least_squares, 1),
     "quadratic": partial(_least_squares, 2),
     "ifs": _ifs,
@@ -197,7 +202,7 @@ BASELINES: Mapping[str, Callable[[Rig], Forecasts]] = {
 
 
 def _trained(
-    rig: Rig,
+    setup: SetupClips,
     name: str,
     build: Callable[[], Learner],
     fit_config: FitConfig,
@@ -206,16 +211,18 @@ def _trained(
     def validate(learner: Learner) -> float:
         return float(made(learner, "validation").errors_px()[:, :, T_TRAIN - 1].mean())
 
-    folder = runs_folder() / "rig" / f"{name}-{rig.objects}"
-    learner = fit(build, fit_config, folder, validate)
+    folder = runs_folder() / "setup" / f"{name}-{setup.objects}"
+    learner = fit(build, fit_config, folder, validate).learner
     with torch.inference_mode():
         return made(learner, "test")
 
 
-def _seen(rig: Rig, learner: Learner[Batch], split: Split) -> Forecasts:
-    windows = rig.windows(split)
+def _seen(setup: SetupClips, learner: Learner[Batch], split: Split) -> Forecasts:
+    windows = setup.windows(split)
     parts = [windows[k : k + TOGETHER] for k in range(0, len(windows), TOGETHER)]
-    positions, _ = joined([learner.forecast(collate(part), rig.horizon) for part in parts]).arrays()
+    positions, _ = joined(
+        [learner.forecast(collate(part), setup.horizon) for part in parts]
+    ).arrays()
     return beside_truth(windows, positions, None, None)
 
 
@@ -248,16 +255,17 @@ def _states(clips: Clips, places: Sequence[Place], frames: int) -> States:
     )
 
 
-def markdown(rows: Sequence[Measured], rig: Rig) -> str:
+def markdown(rows: Sequence[Measured], setup: SetupClips) -> str:
     """Make the table of a page."""
-    moments = rig.moments
+    moments = setup.moments
     heads = [f"T = {T}: px" for T in moments] + [f"in 50 / 95 % at T = {T}" for T in moments]
-    lines = [f"| method | balls | {' | '.join(heads)} |", "|---" * (2 + len(heads)) + "|"]
+    lines: list[Sequence[str]] = []
     for row in rows:
         errors = [f"{mean:.1f} ± {spread:.1f}" for mean, spread in row.errors.values()]
         inside = ["-"] * len(moments)
         if row.inside is not None:
             inside = [f"{half:.2f} / {most:.2f}" for half, most in row.inside.values()]
-        lines.append(f"| {' | '.join([row.method, row.balls, *errors, *inside])} |")
-    how_often = "every frame" if rig.every == 1 else f"every {rig.every} frames"
-    return "\n".join([*lines, "", f"{len(rig.places['test'])} windows, one {how_often}."])
+        lines.append((row.method, row.balls, *errors, *inside))
+    how_often = "every frame" if setup.every == 1 else f"every {setup.every} frames"
+    shown = table(("method", "balls", *heads), lines)
+    return f"{shown}\n\n{len(setup.places['test'])} windows, one {how_often}."

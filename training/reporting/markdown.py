@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 
 from rollcast.manifest import Manifest, MetricRow
+from rollcast.markdown import table
 from rollcast.scene import SCENARIOS, Scenario
+from training.evaluation.paper import CONSTANT_POSITION, LINEAR_EXTRAPOLATION, published
 from training.reporting.results import Measurement, Results
 
 BEGIN = "<!-- results: python -m training report -->"
@@ -25,35 +27,26 @@ def with_results(text: str, manifests: Sequence[Manifest]) -> str:
     return f"{before}{BEGIN}\n\n{overview(manifests)}\n\n{END}{after}"
 
 
+README_MODELS = ("fieldnet", "fieldnet-between", "posnet")
+README_HORIZON = 20
+
+
 def overview(manifests: Sequence[Manifest]) -> str:
-    """Errors on the test split at the horizons that all models report, baselines last, as Markdown.
-
-    Models of several balls have a table of their own each.
-    """
-    numbers = sorted({manifest.objects for manifest in manifests})
-    groups = [[one for one in manifests if one.objects == number] for number in numbers]
-    return "\n\n".join(_overview(group) for group in groups)
-
-
-def _overview(manifests: Sequence[Manifest]) -> str:
-    """Table of models that follow the same number of balls."""
-    reported = [{row.horizon for row in manifest.metrics} for manifest in manifests]
-    horizons = sorted(set[int].intersection(*reported))
-    names = [*(manifest.name for manifest in manifests), "stays put", "line"]
-    lines = [
-        f"| {_balls(manifests[0].objects)}, test scenes | {' | '.join(names)} |",
-        "|---" * (len(names) + 1) + "|",
-    ]
+    """Errors of one ball at T = 20 on the test split, one row per scenario, as Markdown."""
+    models = [one for name in README_MODELS for one in manifests if one.name == name]
+    lines: list[Sequence[str]] = []
     for scenario in SCENARIOS:
-        for horizon in horizons:
-            rows = [_row(manifest, scenario, horizon) for manifest in manifests]
-            first = next((row for row in rows if row is not None), None)
-            if first is not None:
-                errors = [None if row is None else row.position_error_px for row in rows]
-                errors += [first.stays_put_px, first.line_px]
-                label = f"{scenario}, T={horizon} ({first.sequences})"
-                lines.append(f"| {label} | {' | '.join(_cell(error, 1) for error in errors)} |")
-    return "\n".join(lines)
+        rows = [_row(manifest, scenario, README_HORIZON) for manifest in models]
+        first = next((row for row in rows if row is not None), None)
+        if first is None:
+            continue
+        paper = published(scenario, 1, "posnet", f"T={README_HORIZON}")
+        errors = [None if row is None else row.position_error_px for row in rows]
+        errors += [first.stays_put_px, first.line_px, paper and paper.position_error_px]
+        lines.append((f"{scenario} ({first.sequences})", *(_cell(error, 1) for error in errors)))
+    names = [manifest.name for manifest in models]
+    heads = [*names, CONSTANT_POSITION, LINEAR_EXTRAPOLATION, "PosNet in the paper"]
+    return table((f"error in px at T = {README_HORIZON}", *heads), lines)
 
 
 def page(results: Results, scenes: int) -> str:
@@ -89,28 +82,28 @@ PREAMBLE = """<!-- Made by `python -m training evaluate --all`; do not edit. -->
 
 Every committed model on the first {scenes} scenes of the test split, which training never saw, from
 the fixed test start. 128-pixel units; T is the horizon, so the error is that of step T - 1; "worst
-step" is the step with the largest mean error. "Stays put" rests at the true position of t = 0,
-"line" goes through ten true positions (t = -3..6). Covariances are those that the service answers
-with: the network's own times a scale per step fitted on validation scenes, or the covariance of its
-validation residuals. The paper's networks each saw about 17 million sequences."""
+step" is the step with the largest mean error. "Constant position" is the true position of t = 0,
+"linear extrapolation" a line through ten true positions (t = -3..6). Covariances are
+those that the service answers with: the network's own times a scale per step fitted on validation
+scenes, or the covariance of its validation residuals. The paper's networks each saw about 17
+million sequences."""
 
 
 def _table(cells: Sequence[Measurement]) -> str:
-    lines = [
-        "| method | T | error px | paper px | ang. vel. RMSE rad/s | neg. log likelihood | "
-        "in 50 % | in 95 % | trained on |",
-        "|" + "---|" * 9,
-    ]
+    lines: list[Sequence[str]] = []
     for cell in cells:
         seen = "-" if cell.training_sequences is None else f"{cell.training_sequences:,}"
-        columns = (
+        lines.append((
             cell.method, cell.at.removeprefix("T="),
             f"{cell.position_error_px:.2f} ± {cell.standard_error_px:.2f}",
-            _cell(cell.paper_px, 1), _cell(cell.angular_velocity_rmse), _cell(cell.perplexity),
+            _cell(cell.paper_px, 1), _cell(cell.angular_velocity_rmse), _cell(cell.nll_nats),
             _cell(cell.coverage_50), _cell(cell.coverage_95), seen,
-        )  # fmt: skip
-        lines.append(f"| {' | '.join(columns)} |")
-    return "\n".join(lines)
+        ))  # fmt: skip
+    head = (
+        "method", "T", "error px", "paper px", "ang. vel. RMSE rad/s", "neg. log likelihood",
+        "in 50 %", "in 95 %", "trained on",
+    )  # fmt: skip
+    return table(head, lines)
 
 
 def _row(manifest: Manifest, scenario: Scenario, horizon: int) -> MetricRow | None:

@@ -16,8 +16,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from rollcast.plot import PALETTE
 from rollcast.scene import SCENARIOS
+from training.common.run_folder import EVENTS, LOSS
 from training.data.windows import Window
-from training.engine.trainer import EVENTS, LOSS
+from training.evaluation.paper import CONSTANT_POSITION, LINEAR_EXTRAPOLATION
 from training.objectives.metrics import Forecasts
 from training.reporting.markdown import title
 from training.reporting.results import LEVELS, Curve, Measurement, Results
@@ -40,7 +41,7 @@ _LEAST_PX = 0.05
 """Where the errors' axis ends: what was given exactly errs by nothing."""
 _SMOOTHED = 9
 """Losses that a point of a training's curve is the median of."""
-_BASELINE_STYLES = {"stays put": ":", "line": "--"}
+_BASELINE_STYLES = {CONSTANT_POSITION: ":", LINEAR_EXTRAPOLATION: "--"}
 
 
 def draw_errors(curves: Sequence[Curve], path: Path) -> None:

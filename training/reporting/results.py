@@ -22,7 +22,7 @@ from training.evaluation.evaluate import (
     rounded,
     run,
 )
-from training.evaluation.paper import published
+from training.evaluation.paper import CONSTANT_POSITION, LINEAR_EXTRAPOLATION, published
 from training.export.export import with_covariance
 from training.export.load import load_exported
 from training.objectives.metrics import Forecasts, stays_put
@@ -52,6 +52,13 @@ class Measurement:
         Which table it belongs to: MODELS, or a study's name.
     condition
         What is special about its scenes; "" for all that a scenario has.
+    optimiser_steps, converged
+        Of a row that the study trained: the steps of a training, and whether the validation error
+        of all of them hardly fell over the last fifth; None where that was not tested.
+    seeds
+        Trainings that the figures are means of.
+    seed_spread_px
+        Largest minus smallest error of these trainings; None for one.
     """
 
     scenario: Scenario
@@ -64,12 +71,16 @@ class Measurement:
     test_sequences: int
     training_sequences: int | None = None
     angular_velocity_rmse: float | None = None
-    perplexity: float | None = None
+    nll_nats: float | None = None
     coverage_50: float | None = None
     coverage_95: float | None = None
     paper_px: float | None = None
     study: str = MODELS
     condition: str = ""
+    optimiser_steps: int | None = None
+    converged: bool | None = None
+    seeds: int = 1
+    seed_spread_px: float | None = None
 
 
 @dataclass(frozen=True)
@@ -89,8 +100,8 @@ class Curve:
     scenario: Scenario
     objects: int
     method: str
-    trained_horizon: int | None
-    quartiles_px: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+    trained_horizon: int | None = None
+    quartiles_px: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]] = ((), (), ())
     coverage: tuple[float, ...] | None = None
     study: str = MODELS
     condition: str = ""
@@ -128,7 +139,7 @@ class Results:
     def write(self, path: Path) -> None:
         """Write a JSON file with a line a figure, so that versions can be compared."""
         parts = [
-            f' "{name}": [\n  ' + ",\n  ".join(json.dumps(asdict(item)) for item in items) + "\n ]"
+            f' "{name}": [\n  ' + ",\n  ".join(map(_line, items)) + "\n ]"
             for name, items in (("cells", self.cells), ("curves", self.curves))
         ]
         path.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
@@ -144,12 +155,17 @@ class Results:
                     **curve
                     | {
                         "quartiles_px": tuple(map(tuple, curve["quartiles_px"])),
-                        "coverage": None if curve["coverage"] is None else tuple(curve["coverage"]),
+                        "coverage": tuple(curve["coverage"]) if "coverage" in curve else None,
                     }
                 )
                 for curve in stored["curves"]
             ),
         )
+
+
+def _line(figure: Measurement | Curve) -> str:
+    """Return a figure as JSON, without what is not known of it."""
+    return json.dumps({name: part for name, part in asdict(figure).items() if part is not None})
 
 
 def _row(figure: Measurement | Curve) -> tuple[str, str, int, str, str]:
@@ -228,7 +244,10 @@ def _measure_baselines(
 ) -> list[tuple[list[Measurement], Curve]]:
     truth = np.stack([window.positions for window in part.windows])
     made: list[tuple[list[Measurement], Curve]] = []
-    for method, positions in (("stays put", stays_put(truth)), ("line", part.line)):
+    for method, positions in (
+        (CONSTANT_POSITION, stays_put(truth)),
+        (LINEAR_EXTRAPOLATION, part.line),
+    ):
         errors = np.linalg.norm(positions - truth, axis=-1)
         longest = errors.shape[2]
         cells: list[Measurement] = []

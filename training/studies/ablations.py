@@ -10,13 +10,11 @@ from training.studies.benchmark_case import BenchmarkCase
 from training.studies.claims import NO_MODULE
 from training.studies.conditions import PLAIN_WHITE
 from training.studies.long_term import MODELS, OURS, of_one_ball
-from training.studies.rows import BUDGET, PLAIN, Row, ours, ours_trained_to_each, resting, shipped
+from training.studies.network_rows import ours, ours_trained_to_each, shipped
+from training.studies.rows import COMPACT, LEGEND, PLAIN, Row, constant_position, middle_of_frame
 from training.studies.study import Study
 
-WITHOUT_MODULE = f"dispnet{NO_MODULE}"
-TRAINED = f"""Mean error in 128-pixel units, that of angular velocity in rad/s in brackets, and the
-paper's error after the stroke. Every row that learns saw {BUDGET:,} sequences of each kind of scene
-unless its last column says otherwise; the paper's saw about 17 million."""
+WITHOUT_MODULE = f"{COMPACT}dispnet{NO_MODULE}"
 LENGTHS = (10, 20, 30, 40)
 
 
@@ -65,9 +63,14 @@ def between() -> Recipe:
 
 def _textures() -> tuple[Row, ...]:
     return (
-        resting(),
+        constant_position(),
+        middle_of_frame(),
         *(
-            ours(on_ellipsoids(change, angular_velocity=spin), name, name + ("" if spin else PLAIN))
+            ours(
+                on_ellipsoids(change, angular_velocity=spin),
+                name,
+                COMPACT + name + ("" if spin else PLAIN),
+            )
             for name in OURS
             for spin in (False, True)
             for change in (None, PLAIN_WHITE)
@@ -77,11 +80,12 @@ def _textures() -> tuple[Row, ...]:
 
 def _modules() -> tuple[Row, ...]:
     return (
-        resting(),
+        constant_position(),
+        middle_of_frame(),
         *(
             ours(of_several_balls(objects, interaction=interaction), f"dispnet-{objects}", method)
             for objects in (2, 3)
-            for method, interaction in ((WITHOUT_MODULE, False), ("dispnet", True))
+            for method, interaction in ((WITHOUT_MODULE, False), (f"{COMPACT}dispnet", True))
         ),
         *(
             shipped(MODELS / f"{name}-{objects}" / "1")
@@ -94,12 +98,10 @@ def _modules() -> tuple[Row, ...]:
 def _interpolation() -> tuple[Row, ...]:
     recipes = {steps: trained_to(steps) for steps in LENGTHS}
     return (
-        resting(),
-        replace(
-            ours_trained_to_each(recipes, "dispnet", "dispnet trained to T"),
-            fits=lambda case: case.objects == 1,
-        ),
-        ours(between(), "interpnet", "interpnet"),
+        constant_position(),
+        middle_of_frame(),
+        ours_trained_to_each(recipes, "dispnet", f"{COMPACT}dispnet trained to T"),
+        ours(between(), "interpnet", f"{COMPACT}interpnet"),
         *(
             shipped(MODELS / (name + suffix) / "1")
             for suffix in ("", "-2", "-3")
@@ -111,8 +113,10 @@ def _interpolation() -> tuple[Row, ...]:
 
 def _supervision() -> tuple[Row, ...]:
     return (
-        *(ours(trained_to(20), name, name) for name in OURS),
-        *(ours(trained_to(40), name, f"{name} supervised to T=40") for name in OURS),
+        constant_position(),
+        middle_of_frame(),
+        *(ours(trained_to(20), name, COMPACT + name) for name in OURS),
+        *(ours(trained_to(40), name, f"{COMPACT}{name} supervised to T=40") for name in OURS),
     )
 
 
@@ -120,7 +124,7 @@ TEXTURE = Study(
     "texture",
     "Textured and white balls",
     f"""Networks trained and tested on ellipsoidal bowls with balls whose turning can be seen, and
-with white ones. {TRAINED} T_train is 20, T_gen 40.""",
+with white ones. {LEGEND} T_train is 20, T_gen 40.""",
     (BenchmarkCase("ellipsoid"), BenchmarkCase("ellipsoid", override=PLAIN_WHITE)),
     _textures,
 )
@@ -128,7 +132,7 @@ with white ones. {TRAINED} T_train is 20, T_gen 40.""",
 MODULE = Study(
     "interaction",
     "With and without the interaction module",
-    f"Long-term prediction of several balls. {TRAINED} T_train is 15, T_gen 30.",
+    f"Long-term prediction of several balls. {LEGEND} T_train is 15, T_gen 30.",
     (BenchmarkCase("ellipsoid", 2), BenchmarkCase("ellipsoid", 3)),
     _modules,
 )
@@ -137,7 +141,7 @@ COLLISIONS = Study(
     "collisions",
     "After the first collision",
     f"""Test scenes in which two balls collide, from ten steps before they first do: errors 5 and 10
-steps after it. {TRAINED}""",
+steps after it. {LEGEND}""",
     (BenchmarkCase("ellipsoid", 2, colliding=True), BenchmarkCase("ellipsoid", 3, colliding=True)),
     _modules,
 )
@@ -145,9 +149,9 @@ steps after it. {TRAINED}""",
 INTERPOLATION = Study(
     "interpolation",
     "Extrapolation and interpolation",
-    f"""Four frames against four and a final one. "dispnet trained to T" is four networks, each
-supervised as far as it forecasts; a committed model that interpolates sees the frame of T_gen.
-{TRAINED}""",
+    f"""Four frames against four and a final one. "compact-dispnet trained to T" is four networks,
+each supervised as far as it forecasts; a committed model that interpolates sees the frame of T_gen.
+{LEGEND}""",
     (
         *(
             BenchmarkCase(name, horizons=LENGTHS)
@@ -161,7 +165,7 @@ supervised as far as it forecasts; a committed model that interpolates sees the 
 SUPERVISION = Study(
     "supervision",
     "Supervised up to 20 steps and up to 40",
-    f"{TRAINED} T_train is 20, T_gen 40.",
+    f"{LEGEND} T_train is 20, T_gen 40.",
     (BenchmarkCase("hemisphere"), BenchmarkCase("ellipsoid"), BenchmarkCase("heightfield")),
     _supervision,
 )

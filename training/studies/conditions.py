@@ -6,7 +6,8 @@ from rollcast.scene import SMALL_RADIUS_M
 from training.data.shards import SceneOverride
 from training.studies.benchmark_case import BenchmarkCase, SceneFilter
 from training.studies.long_term import MODELS, OURS
-from training.studies.rows import Row, least_squares, resting, shipped
+from training.studies.network_rows import shipped
+from training.studies.rows import Row, constant_position, least_squares
 from training.studies.study import Study
 
 NOISE_SCALES = (0.2, 0.574, 0.617, 0.658, 0.7)
@@ -26,8 +27,8 @@ PLAIN_WHITE = SceneOverride("white balls", (("textured", False),))
 
 def _rows() -> tuple[Row, ...]:
     return (
-        resting(),
-        least_squares("line", 1),
+        constant_position(),
+        least_squares("linear extrapolation", 1),
         *(shipped(MODELS / name / "1") for name in (*OURS, "fieldnet")),
     )
 

@@ -1,15 +1,14 @@
 """A study: its rows, measured one by one and kept as soon as they are."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from training.evaluation.evaluate import measured_at
+from training.evaluation.evaluate import Measured, measured_at, rounded
 from training.evaluation.paper import published
-from training.objectives.metrics import Forecasts
 from training.reporting.results import Curve, Measurement, Results, curve_of
 from training.studies.benchmark_case import BenchmarkCase, FixedScenes
-from training.studies.rows import Row, StudyBudget
+from training.studies.rows import Outcome, Row, StudyBudget
 
 
 @dataclass(frozen=True)
@@ -57,39 +56,64 @@ class Study:
                 if _known(Results.read(file), self.name, case, row, scenes, budget):
                     continue
                 test = test or FixedScenes(case, "test", scenes, budget.workers)
-                made = row.forecasts(test, budget)
-                cells, curve = measured(self.name, case, row, made, budget)
+                trained = range(1, budget.seeds + 1) if row.learns else (1,)
+                outcomes = [row.measure(test, replace(budget, seed=seed)) for seed in trained]
+                cells, curve = measured(self.name, case, row, outcomes, budget)
                 Results.read(file).with_row(cells, curve).write(file)
                 at = cells[-1]
                 yield f"{case.name}, {row.method}: {at.position_error_px:.2f} px at {at.at}"
 
 
 def measured(
-    study: str, case: BenchmarkCase, row: Row, made: Forecasts, budget: StudyBudget
+    study: str, case: BenchmarkCase, row: Row, outcomes: Sequence[Outcome], budget: StudyBudget
 ) -> tuple[list[Measurement], Curve]:
-    """Measure a row at the moments that are compared, and its error over time."""
+    """Measure a row at the moments that are compared, and its error over time.
+
+    Parameters
+    ----------
+    outcomes
+        Of trainings that differ in their seed. Figures are their means; the curve is the first's.
+    """
     cells: list[Measurement] = []
+    made = outcomes[0].forecasts
     reached = {at: T for at, T in case.moments.items() if made.positions.shape[2] >= T}
-    figures_at = measured_at(made, reached.values())
+    figures_at = [measured_at(one.forecasts, reached.values()) for one in outcomes]
+    ends = [one.converged for one in outcomes]
     for at, horizon in reached.items():
         condition = case.condition
-        paper = published(case.scenario, case.objects, row.method, at, condition)
+        paper = published(case.scenario, case.objects, row.paper_method, at, condition)
+        figures = [of_seed[horizon] for of_seed in figures_at]
+        errors = [one.position_error_px for one in figures]
         cell = Measurement(
             scenario=case.scenario,
             objects=case.objects,
             method=row.method,
             variant=row.method,
             at=at,
-            **figures_at[horizon]._asdict(),
+            **_mean(figures)._asdict(),
             test_sequences=len(made.positions),
             training_sequences=row.trained_on(budget),
             paper_px=None if paper is None else paper.position_error_px,
             study=study,
             condition=condition,
+            optimiser_steps=outcomes[0].optimiser_steps,
+            converged=None if None in ends else all(ends),
+            seeds=len(outcomes),
+            seed_spread_px=rounded(max(errors) - min(errors)) if len(errors) > 1 else None,
         )
         cells.append(cell)
     curve = curve_of(case.scenario, case.objects, row.method, None, made.errors_px())
     return cells, replace(curve, study=study, condition=case.condition)
+
+
+def _mean(figures: Sequence[Measured]) -> Measured:
+    """Return the mean of every figure; what the first lacks, all lack."""
+    means = {
+        name: rounded(sum(getattr(one, name) for one in figures) / len(figures))
+        for name, first in figures[0]._asdict().items()
+        if first is not None
+    }
+    return figures[0]._replace(**means)
 
 
 def _known(
@@ -100,6 +124,7 @@ def _known(
     return any(
         (cell.study, cell.scenario, cell.objects, cell.condition, cell.method) == wanted
         and _enough(cell.training_sequences or 0, row, budget)
+        and (cell.seeds >= budget.seeds or not row.learns)
         and (cell.test_sequences >= scenes or case.condition != "")
         for cell in results.cells
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from rollcast.markdown import table
 from training.reporting.markdown import title
 from training.reporting.results import Curve, Measurement, Results
 from training.studies.benchmark_case import BenchmarkCase
@@ -58,10 +59,7 @@ def _table(study: Study, results: Results) -> str:
     rows = study.rows()
     columns = [(case, at) for case in study.cases for at in case.moments]
     heads = [f"{_scenes(case)}, {at}" for case, at in columns]
-    lines = [
-        f"| method | given | {' | '.join(heads)} | trained on |",
-        "|" + "---|" * (len(columns) + 3),
-    ]
+    lines: list[Sequence[str]] = []
     best = {
         (case, at): min(
             (
@@ -82,29 +80,41 @@ def _table(study: Study, results: Results) -> str:
             for case, at in columns
         ]
         given = "states" if row.given_states else "frames"
-        lines.append(f"| {row.method} | {given} | {' | '.join(texts)} | {_seen(results, row)} |")
-    return "\n".join(lines)
+        about = f"{row.architecture} / {row.taught_by}"
+        lines.append((row.method, about, given, *texts, *_training(results, row)))
+    ends = ("sequences", "optimiser steps", "trainings", "converged")
+    return table(("method", "architecture / taught by", "given", *heads, *ends), lines)
 
 
-def _seen(results: Results, row: Row) -> str:
-    """Training sequences of a line's cells, the fewest and the most where they differ."""
-    of_row = [
-        cell.training_sequences
-        for cell in results.cells
-        if cell.method == row.method and cell.training_sequences
-    ]
-    if not of_row:
-        return "-"
-    return " to ".join(f"{number:,}" for number in sorted({min(of_row), max(of_row)}))
+def _training(results: Results, row: Row) -> tuple[str, str, str, str]:
+    """Return sequences, steps, trainings of a line's cells, and in how many it has converged."""
+    cells = [c for c in results.cells if c.method == row.method and c.training_sequences]
+    if not cells:
+        return "-", "-", "-", "-"
+    if not row.learns:
+        return _range([c.training_sequences for c in cells]), "-", "-", "-"
+    ended = [cell.converged for cell in cells]
+    said = "not tested" if set(ended) == {None} else f"{ended.count(True)} of {len(ended)} cells"
+    return (
+        _range([cell.training_sequences for cell in cells]),
+        _range([cell.optimiser_steps for cell in cells]),
+        _range([cell.seeds for cell in cells]),
+        said,
+    )
+
+
+def _range(numbers: Sequence[int | None]) -> str:
+    """Return the smallest and the largest of some numbers, one where they are equal."""
+    known = [number for number in numbers if number is not None]
+    if not known:
+        return "not noted"
+    return " to ".join(f"{number:,}" for number in sorted({min(known), max(known)}))
 
 
 def _table_by_scenes(study: Study, results: Results) -> str:
     """Return a line a case, with every method's errors."""
     methods = [row.method for row in study.rows()]
-    lines = [
-        f"| scenes | number | {' | '.join(methods)} |",
-        "|" + "---|" * (len(methods) + 2),
-    ]
+    lines: list[Sequence[str]] = []
     for case in study.cases:
         cells = [[_found(results, case, method, at) for at in case.moments] for method in methods]
         errors = [
@@ -112,8 +122,8 @@ def _table_by_scenes(study: Study, results: Results) -> str:
             for of_method in cells
         ]
         number = next((str(cell.test_sequences) for row in cells for cell in row if cell), "-")
-        lines.append(f"| {_scenes(case)} | {number} | {' | '.join(errors)} |")
-    return "\n".join(lines)
+        lines.append((_scenes(case), number, *errors))
+    return table(("scenes", "number", *methods), lines)
 
 
 def _scenes(case: BenchmarkCase) -> str:
@@ -129,19 +139,24 @@ def _found(results: Results, case: BenchmarkCase, method: str, at: str) -> Measu
 
 
 def _cell(cell: Measurement | None, best: float | None) -> str:
-    """Our error, angular velocity's in brackets, and the paper's after a stroke."""
+    """Error, its spread over seeds, angular velocity's, likelihood, and the paper's error."""
     if cell is None:
         return MISSING
     ours = f"{cell.position_error_px:.1f}"
     if cell.position_error_px == best:
         ours = f"**{ours}**"
+    if cell.seed_spread_px is not None:
+        ours += f" ± {cell.seed_spread_px / 2:.1f}"
     if cell.angular_velocity_rmse is not None:
         ours += f" ({cell.angular_velocity_rmse:.1f})"
+    if cell.nll_nats is not None:
+        ours += f" [{cell.nll_nats:.1f} nats]"
     paper = "-" if cell.paper_px is None else f"{cell.paper_px:.1f}"
     return f"{ours} / {paper}"
 
 
 def _claims(found: Sequence[Verdict]) -> str:
-    lines = ["| the paper's claim | here | figures |", "|---|---|---|"]
-    lines += [f"| {one.claim.text} | {one.outcome} | {one.figures} |" for one in found]
-    return "\n".join(lines)
+    return table(
+        ("the paper's claim", "here", "figures"),
+        [(one.claim.text, one.outcome, one.figures) for one in found],
+    )

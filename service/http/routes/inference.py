@@ -5,6 +5,7 @@ from math import prod
 
 from fastapi import APIRouter, Request, Response, status
 
+from rollcast.rollout import Outputs, stacked
 from rollcast.schemas import API_VERSION
 from service.http.oip.schemas import (
     InferRequest,
@@ -34,7 +35,7 @@ from service.inference.deadlines import (
     answered,
     timeout_s,
 )
-from service.inference.rollout import Outputs, Predictor, assemble, stacked
+from service.inference.rollout import Predictor, assemble
 from service.inference.scheduler import DecodedRequest
 from service.observability.tracing import Stages
 from service.state import ServiceState, State

@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter
 
-from rollcast.schemas import ModelDetail, ModelEntry, ModelList, ModelMetrics, ModelRig
+from rollcast.schemas import ModelDetail, ModelEntry, ModelList, ModelMetrics, ModelSetup
 from service.http.openapi import problems_of
 from service.serving.registry import Model, Registry
 from service.state import ServiceState
@@ -44,7 +44,7 @@ def _entry(model: Model) -> ModelEntry:
         scenarios=list(manifest.scenarios),
         objects=manifest.objects,
         frame_rate_hz=manifest.frame_rate_hz,
-        rig=None if manifest.rig is None else ModelRig(**manifest.rig.model_dump()),
+        setup=None if manifest.setup is None else ModelSetup(**manifest.setup.model_dump()),
         frames=manifest.frames,
         final_step=manifest.final_step,
         trained_horizon=manifest.trained_horizon,

@@ -73,7 +73,7 @@ function drawDoubt({ context, scale, unit }, forecast, step) {
     trace(context, scale, ball.positions[step], ball.covariances[step], MOST);
     context.fill();
     outline(context, color, 1.5 * unit, unit);
-    trace(context, scale, ball.positions[step], ball.covariances[step], forecast.halfRadii[step]);
+    trace(context, scale, ball.positions[step], ball.covariances[step], forecast.ellipse50Radii[step]);
     context.fill();
   }
 }

@@ -34,7 +34,7 @@ export function asJson({ take, forecasts }, request) {
     title: take.title,
     request,
     scene: take.scene ?? null,
-    forecasts: forecasts.map(({ objects, times, halfRadii, done }) => ({
+    forecasts: forecasts.map(({ objects, times, ellipse50Radii, done }) => ({
       ...done,
       objects: objects.map((ball, index) => ({
         ...done?.objects[index],
@@ -43,7 +43,7 @@ export function asJson({ take, forecasts }, request) {
         angular_velocities: ball.angularVelocities,
       })),
       times_s: times,
-      half_radii: halfRadii,
+      ellipse50_radii: ellipse50Radii,
     })),
     truth: take.truth,
   };

@@ -143,7 +143,7 @@ function suit(choices) {
   const wish = { ...choices, source: "footage" };
   return bring.suit({
     rate: rateOf(entries, wish),
-    crop: leading(entries, wish)?.rig?.crop ?? null,
+    crop: leading(entries, wish)?.setup?.crop ?? null,
   });
 }
 

@@ -34,7 +34,7 @@ export function leading(entries, choices) {
   const found = fitting(entries, choices);
   const [name] = choices.models;
   if (name !== AUTO) return found.find((entry) => labelOf(entry) === name) ?? null;
-  return found.find((entry) => !entry.rig) ?? found[0] ?? null;
+  return found.find((entry) => !entry.setup) ?? found[0] ?? null;
 }
 
 /** Steps a second of forecasts. */
@@ -78,7 +78,7 @@ export function showModels(entries, choices, chose) {
     { name: AUTO, about: "the best that fits" },
     ...fitting(entries, choices).map((entry) => ({
       name: labelOf(entry),
-      about: `${entry.rig ? "own set-up, " : ""}${errorOf(entry).toFixed(2)} px`,
+      about: `${entry.setup ? "own set-up, " : ""}${errorOf(entry).toFixed(2)} px`,
       title: `${entry.variant}, ${entry.preset}: mean error on validation data up to its trained horizon of ${entry.trained_horizon} steps, in 128-pixel frames`,
     })),
   ];

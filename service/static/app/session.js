@@ -192,12 +192,12 @@ function asNumber(text) {
 
 /** What there is of a forecast before its first step. */
 function unanswered() {
-  return { state: "waiting", objects: [], times: [], halfRadii: [], done: null };
+  return { state: "waiting", objects: [], times: [], ellipse50Radii: [], done: null };
 }
 
 function append(forecast, step) {
   forecast.times.push(step.time_s);
-  forecast.halfRadii.push(step.half_radius);
+  forecast.ellipse50Radii.push(step.ellipse50_radius);
   for (const { id, position, covariance, angular_velocity } of step.objects) {
     const ball = (forecast.objects[id] ??= {
       id,

@@ -1,7 +1,9 @@
 """``rollcast track`` from a shell's point of view."""
 
 import json
+import os
 
+import numpy as np
 import pytest
 
 from rollcast.__main__ import main
@@ -29,11 +31,45 @@ def test_clips_get_tracks_a_report_and_a_film_each(clips, tmp_path, capsys):
         assert f"{clip.stem}: 60 frames, 2.0 s, {100 * report['found']:.1f} %" in said
 
 
+def test_clips_of_one_name_in_two_folders_are_kept_apart(clips, tmp_path, capsys):
+    days = [tmp_path / "rig" / day for day in ("mon", "tue")]
+    for day, clip in zip(days, clips, strict=True):
+        day.mkdir(parents=True)
+        (day / "CLIP.MP4").write_bytes(clip.read_bytes())
+    named = [str(day / "CLIP.MP4") for day in days]
+    out = tmp_path / "rig"
+    assert main(["track", *named, "--balls", "2", "--out", str(out)]) == 0
+    tracks = [Tracks.read(day / "CLIP.parquet") for day in days]
+    assert [one.clip for one in tracks] == ["mon/CLIP", "tue/CLIP"]
+    assert not np.allclose(*(one.positions_px for one in tracks), equal_nan=True)
+    assert (out / "films/tue/CLIP.mp4").exists()
+    # The same clip may be tracked again, another one of its name does not replace it.
+    capsys.readouterr()
+    (days[0] / "CLIP.MP4").write_bytes((days[1] / "CLIP.MP4").read_bytes())
+    assert main(["track", named[0], "--out", str(days[0])]) == 1
+    assert "holds the tracks of another clip" in capsys.readouterr().err
+
+
+def test_images_are_tracked_at_the_rate_that_is_named(tmp_path, capsys):
+    folder = tmp_path / os.fsdecode(b"clip\xff")
+    folder.mkdir()
+    made = billiards(2, 60, 1)
+    for index in range(60):
+        made.picture(index).save(folder / f"{index}.png")
+    arguments = ["track", str(folder), "--balls", "2", "--out", str(tmp_path)]
+    assert main(arguments) == 1
+    assert "name their --rate" in capsys.readouterr().err
+    assert main([*arguments, "--rate", "30"]) == 0
+    assert r"clip\xff: 60 frames, 2.0 s" in capsys.readouterr().out
+    tracks = Tracks.read(tmp_path / os.fsdecode(b"clip\xff.parquet"))
+    np.testing.assert_allclose(tracks.times_s, np.arange(60) / 30)
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "reason"),
     [
         (["missing.mp4"], 1, "missing.mp4 cannot be read: No such file or directory"),
-        (["here/a.mp4", "there/a.mp4"], 1, "two clips are called a; name them apart"),
+        (["here/a.mp4", "here/a.mov"], 1, "two clips are called a; name them apart"),
         (["a.mp4", "--balls", "5"], 2, "5 is not a whole number from 1 to 4"),
         (["a.mp4", "--crop", "1,2"], 2, "1,2 is not X,Y,SIZE"),
     ],

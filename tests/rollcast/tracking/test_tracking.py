@@ -1,11 +1,14 @@
 """Tracks of made-up films beside the truth."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from PIL import Image
 
 from rollcast.errors import CropError, FootageError
 from rollcast.footage import SquareCrop
+from rollcast.tracking.background import background_of
 from rollcast.tracking.overlay import draw_tracks
 from rollcast.tracking.track import Tracked, track
 from rollcast.tracking.tracks import Tracks
@@ -176,3 +179,18 @@ def test_a_film_without_balls_or_with_too_few_frames_is_told(tmp_path):
     short = billiards(1, 12, seed=1).film(tmp_path / "short.mp4")
     with pytest.raises(FootageError, match="has 12 frames, expected at least 20"):
         track(short)
+
+
+def test_memory_does_not_grow_with_what_is_computed_of_each_picture(monkeypatch):
+    """Beside the pictures themselves a background takes a few of them, whatever their number."""
+    monkeypatch.setattr("rollcast.tracking.background.BAND_VALUES", 100_000)
+    made = billiards(2, FRAMES, 1)
+    pictures = np.stack([np.asarray(made.picture(index)) for index in range(FRAMES)])
+    tracemalloc.start()
+    try:
+        background_of(pictures)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # As floats, all at once, they would take four times their bytes.
+    assert most < pictures.nbytes

@@ -38,7 +38,7 @@ WRONG_PLACES = {
     "for its hash": {"keys": [{"name": "robot", "sha256": TOKEN}]},
     "for its name": {"keys": [{"name": TOKEN, "sha256": "0" * 64}]},
     "as a field": {"keys": [{"name": "robot", "sha256": "0" * 64, TOKEN: 1}]},
-    "as a right": {"keys": [{"name": "robot", "sha256": "0" * 64, "rights": [TOKEN]}]},
+    "as a scope": {"keys": [{"name": "robot", "sha256": "0" * 64, "scopes": [TOKEN]}]},
     "in the list": {"keys": [TOKEN]},
     "beside the list": {"keys": [], TOKEN: ""},
     "as the file": TOKEN,

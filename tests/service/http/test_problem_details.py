@@ -239,5 +239,7 @@ def test_a_parameter_of_the_path_is_named(client):
 
 def test_refusals_are_counted_by_name(client):
     client.get("/fail/lost")
-    assert 'rollcast_refused_total{problem="simulation-lost"}' in client.get("/metrics").text
+    assert (
+        'rollcast_rejected_requests_total{reason="simulation-lost"}' in client.get("/metrics").text
+    )
     assert isinstance(FAILURES["lost"], ServiceError)

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from rollcast.manifest import CovarianceSource
+from rollcast.rollout import Step, roll_out, stacked
 from service.errors import DivergedError
-from service.inference.rollout import Forecast, Step, assemble, roll_out, stacked
+from service.inference.rollout import Forecast, assemble
 from tests.service.samples import DotPredictor, dot, manifest
 
 FRAMES = np.stack([[dot(40 + 2 * index, 60 + index) for index in range(4)]])
@@ -67,10 +68,10 @@ def test_a_variance_scale_is_that_of_its_step_and_the_last_is_held():
     [((0.9, 0.8), 0, [0.9, 0.8, 0.8]), ((0.9, 0.8), 1, [0.8] * 3), (None, 0, [1.17741] * 3)],
 )
 def test_a_half_radius_is_that_of_its_step_and_without_one_a_gaussians(half, first, expected):
-    source = CovarianceSource(source="predicted", half_radius=half)
+    source = CovarianceSource(source="predicted", ellipse50_radius=half)
     made = assemble(outputs(3), source, first_step=first)
-    np.testing.assert_allclose(made.half_radii, expected, atol=1e-5)
-    np.testing.assert_array_equal(made.rescaled(2, 1).half_radii, made.half_radii)
+    np.testing.assert_allclose(made.ellipse50_radii, expected, atol=1e-5)
+    np.testing.assert_array_equal(made.rescaled(2, 1).ellipse50_radii, made.ellipse50_radii)
 
 
 @pytest.mark.parametrize(("first", "rows"), [(0, [0, 1, 1]), (1, [1, 1, 1])])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from prometheus_client import Gauge
 
+from rollcast.rollout import Step
 from service.errors import QueueFullError
 from service.inference.deadlines import CancellationToken, ClientGoneError
-from service.inference.rollout import Step
 from service.inference.scheduler import DecodedRequest, Scheduler
 from tests.service import samples
 

@@ -10,9 +10,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from service.app import create_app
 from service.process.connection_limits import MAX_HEAD_BYTES
-from service.process.server import Server
+from service.process.server import make_server
 from service.settings import Settings
 from tests.service import samples
 from tests.service.samples import body
@@ -25,11 +24,11 @@ PATIENCE_S = 5.0
 @contextmanager
 def served(folder, load=samples.registry, **limits: object) -> Iterator[tuple[str, int]]:
     """The service on a port of its own, in a thread."""
-    limits = {"receive_timeout_s": TIMEOUT_S, "send_timeout_s": TIMEOUT_S} | limits
-    settings = Settings(models_dir=folder, stop_timeout_s=1, **limits)
+    limits = {"read_timeout_s": TIMEOUT_S, "write_timeout_s": TIMEOUT_S} | limits
+    settings = Settings(models_dir=folder, graceful_shutdown_timeout_s=1, **limits)
     log = logging.getLogger()
     level, handlers = log.level, [*log.handlers]
-    server = Server(create_app(settings, load), settings)
+    server = make_server(settings, load)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         listener.setsockopt(
             socket.SOL_SOCKET, socket.SO_SNDBUF, 4096
@@ -221,7 +220,7 @@ CHUNKED = (
     ids=["trailers", "a long trailer", "a long extension", "extensions"],
 )
 def test_what_is_no_body_is_limited(tmp_path, path, begin, piece):
-    with served(tmp_path, receive_timeout_s=30) as address, connected(address) as client:
+    with served(tmp_path, read_timeout_s=30) as address, connected(address) as client:
         with pytest.raises(OSError):  # noqa: PT011, PT012 - reset, or a broken pipe
             client.sendall(CHUNKED.replace(b"/predict", path) + begin)
             for _ in range(2000):
@@ -232,7 +231,7 @@ def test_what_is_no_body_is_limited(tmp_path, path, begin, piece):
 def test_a_body_in_tiny_chunks_is_read(tmp_path):
     content = json.dumps(body(horizon=1)).encode()
     chunks = b"".join(b"1\r\n" + content[at : at + 1] + b"\r\n" for at in range(len(content)))
-    with served(tmp_path, receive_timeout_s=30) as address, connected(address) as client:
+    with served(tmp_path, read_timeout_s=30) as address, connected(address) as client:
         head = CHUNKED.replace(b"Host: a", b"Host: a\r\nConnection: close")
         client.sendall(head + chunks + b"0\r\nx-trailer: some\r\n\r\n")
         assert everything(client).startswith(b"HTTP/1.1 200")

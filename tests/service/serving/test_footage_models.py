@@ -15,14 +15,14 @@ FOOTAGE = {
 }
 
 
-def rig(name: str, balls: int):
+def setup(name: str, balls: int):
     about = {"colors": COLORS[:balls], "crop": [125, 0, 478]}
-    return served(name=name, objects=balls, rig=about, **FOOTAGE)
+    return served(name=name, objects=balls, setup=about, **FOOTAGE)
 
 
 @pytest.fixture
 def client(start):
-    return start(lambda _: Registry([served(), rig("table", 1), rig("arena", 4)]))
+    return start(lambda _: Registry([served(), setup("table", 1), setup("arena", 4)]))
 
 
 def answer(client, **fields):
@@ -83,21 +83,21 @@ def test_the_list_tells_what_a_rig_sees(client):
     arena = client.get("/models/arena").json()
     assert arena["scenarios"] == ["footage"]
     assert arena["frame_rate_hz"] == RATE_HZ
-    assert arena["rig"] == {"colors": COLORS, "crop": [125, 0, 478]}
+    assert arena["setup"] == {"colors": COLORS, "crop": [125, 0, 478]}
 
 
 @pytest.mark.parametrize(
-    ("rig", "reason"),
+    ("setup", "reason"),
     [
-        (None, "rig belongs to footage"),
-        ({"colors": COLORS[:3], "crop": [0, 0, 9]}, "rig has 3 colors for 4 objects"),
+        (None, "setup belongs to footage"),
+        ({"colors": COLORS[:3], "crop": [0, 0, 9]}, "setup has 3 colors for 4 objects"),
     ],
 )
-def test_a_manifest_tells_the_rig_of_footage(rig, reason):
+def test_a_manifest_tells_the_setup_of_footage(setup, reason):
     with pytest.raises(ValueError, match=reason):
-        served(objects=4, rig=rig, **FOOTAGE)
+        served(objects=4, setup=setup, **FOOTAGE)
 
 
-def test_a_simulated_model_has_no_rig():
-    with pytest.raises(ValueError, match="rig belongs to footage"):
-        served(rig={"colors": COLORS[:1], "crop": [0, 0, 9]})
+def test_a_simulated_model_has_no_setup():
+    with pytest.raises(ValueError, match="setup belongs to footage"):
+        served(setup={"colors": COLORS[:1], "crop": [0, 0, 9]})

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rollcast.ood import Familiarity, look
+from rollcast.ood import Familiarity, frame_stats
 from service.serving.registry import Model, Registry
 from tests.service import samples
 
@@ -14,12 +14,12 @@ def familiarity(frames: np.ndarray) -> Familiarity:
     """One kind of scenes whose mean is what some frames look like."""
     components = np.eye(192, dtype=np.float32)[:3]
     known = Familiarity(
-        look(frames).thumbnail[None],
+        frame_stats(frames).thumbnail[None],
         components[None],
         np.zeros((1, NUMBERS), np.float32),
         np.eye(NUMBERS, dtype=np.float32)[None],
     )
-    seen = look(frames)
+    seen = frame_stats(frames)
     mean = np.concatenate([np.zeros(3), [np.log(1e-3)], seen.texture])
     return Familiarity(known.thumbnail, known.components, mean[None], known.whitening)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rollcast.manifest import CARD_FILE, ENCODER_FILE, GOLDEN_FILE, HASHED_FILES, MANIFEST_FILE
-from service.inference.rollout import roll_out
+from rollcast.rollout import roll_out
 from service.serving.loading import begin_loading, load_registry
 from tests.service.samples import DotPredictor, dot, manifest
 
@@ -155,30 +155,10 @@ def test_whatever_the_runtime_raises_is_a_reason(write, tmp_path):
 def test_what_is_being_loaded_already_is_handed_over_once(tmp_path):
     folder = tmp_path / "dot" / "1"
     folder.mkdir(parents=True)
-    load = begin_loading(tmp_path, proves=(0, 1))
+    load = begin_loading(tmp_path)
     assert [model.name for model in load(tmp_path).models] == ["dot"]
     folder.rmdir()
     assert not load(tmp_path).models
-
-
-def test_processes_share_the_proofs_out_and_tell_each_other(write, tmp_path):
-    for name in ("a", "b", "c", "d"):
-        write(name=name, golden={"positions": np.zeros((1, 1, 3, 2), np.float32)})
-    parts = [
-        load_registry(
-            tmp_path,
-            open_predictor=lambda _, described: DotPredictor(described),
-            proves=(place, 3),
-        )
-        for place in range(3)
-    ]
-    assert sorted(label for part in parts for label in part.refused) == ["a@1", "b@1", "c@1", "d@1"]
-    refused = {label: reason for part in parts for label, reason in part.refused.items()}
-    for part in parts:
-        assert part.served
-        told = part.refusing(refused)
-        assert not told.served
-        assert told.refused == refused
 
 
 def test_a_folder_that_is_not_named_by_its_number_is_refused_beside_the_version(

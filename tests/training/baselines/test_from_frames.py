@@ -5,10 +5,12 @@ from functools import partial
 import pytest
 import torch
 
+from training.baselines.fitting import FitConfig, fit
 from training.baselines.learner import Learner
 from training.baselines.vin import Vin
 from training.baselines.vlstm import CONVOLUTIONS, AlexNetEncoder, VLstm
 from training.data.windows import Batch
+from training.objectives.schedules import Cosine
 
 HORIZON = 4
 
@@ -115,3 +117,22 @@ def test_alexnets_weights_are_taken_from_a_file(tmp_path):
     torch.save(stored, tmp_path / "alexnet.pth")
     with pytest.raises(ValueError, match=r"lacks AlexNet's features\.8"):
         encoder.load_imagenet(tmp_path / "alexnet.pth")
+
+
+def test_v_lstm_trains_in_bfloat16_and_keeps_float32_weights(tmp_path):
+    given = moving_squares(4)
+
+    def stream(first: int):
+        while True:
+            yield given
+
+    def error(learner: Learner[Batch]) -> float:
+        return float(learner.loss(given, 1.0).detach())
+
+    config = FitConfig(6, stream, lambda p: torch.optim.Adam(p, 1e-4), Cosine, 4, bfloat16=True)
+    build = partial(VLstm, 1, HORIZON, angular_velocity=True)
+    torch.manual_seed(config.seed)
+    before = error(build())
+    fitted = fit(build, config, tmp_path, error)
+    assert {parameter.dtype for parameter in fitted.learner.parameters()} == {torch.float32}
+    assert error(fitted.learner) < before

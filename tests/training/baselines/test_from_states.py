@@ -99,7 +99,7 @@ def test_a_spring_is_learned_from_a_thousand_samples(build, frames, rate, batche
     fit_config = FitConfig(
         batches, stream, lambda p: torch.optim.Adam(p, rate), lambda: Exponential(0.05), 50
     )
-    learner = fit(build, fit_config, tmp_path, error)
+    learner = fit(build, fit_config, tmp_path, error).learner
     straight = unseen.positions[:, :, 3] + 10 * unseen.velocities[:, :, 3]
     line = float((64 * (1 + straight) - truth[:, :, 10]).norm(dim=-1).mean())
     assert error(learner) < line / 5
@@ -134,10 +134,9 @@ def test_a_training_that_was_stopped_ends_as_one_that_was_not(tmp_path):
 
     build = LEARNERS[2]
     whole = fit(build, fit_config(stream), tmp_path / "whole", error)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("training.baselines.fitting.CHECKPOINT_SECONDS", 0.0)
-        with pytest.raises(StoppedError):
-            fit(build, fit_config(stopping), tmp_path / "stopped", error)
+    with pytest.raises(StoppedError):
+        fit(build, fit_config(stopping), tmp_path / "stopped", error, checkpoint_seconds=0)
     resumed = fit(build, fit_config(stream), tmp_path / "stopped", error)
-    for one, other in zip(whole.parameters(), resumed.parameters(), strict=True):
+    pairs = zip(whole.learner.parameters(), resumed.learner.parameters(), strict=True)
+    for one, other in pairs:
         assert torch.equal(one, other)

@@ -15,13 +15,15 @@ from training.common.distributed import (
     main_process_first,
     share,
 )
-from training.engine.trainer import CHECKPOINT, Trainer, TrainerConfig
+from training.common.run_folder import CHECKPOINT
+from training.engine.loop import TrainerConfig
+from training.engine.trainer import Trainer
 from training.recipes.compact import one_ball
 from training.recipes.field import field_one_ball_rolling
 from training.recipes.sighted import sighted_one_ball
 
 PACE = TrainerConfig(validate_every=4, checkpoint_seconds=1e9, workers=0)
-CREW = 2
+PROCESSES = 2
 RECIPES = {
     "shared state": one_ball,
     "practice and readings": field_one_ball_rolling,
@@ -51,14 +53,14 @@ def train(name: str, folder: Path) -> Noted:
 
 def join(rank: int, work, folder: Path, *arguments) -> None:
     distributed.init_process_group(
-        "gloo", init_method=f"file://{folder / 'meeting'}", rank=rank, world_size=CREW
+        "gloo", init_method=f"file://{folder / 'meeting'}", rank=rank, world_size=PROCESSES
     )
     work(rank, folder, *arguments)
     distributed.destroy_process_group()
 
 
 def together(work, folder: Path, *arguments) -> None:
-    multiprocessing.spawn(join, (work, folder, *arguments), nprocs=CREW)
+    multiprocessing.spawn(join, (work, folder, *arguments), nprocs=PROCESSES)
 
 
 def flat(weights: dict[str, torch.Tensor]) -> torch.Tensor:
@@ -75,10 +77,10 @@ def train_a_share(rank: int, folder: Path, name: str) -> None:
 def test_two_end_as_one(name, runs, tmp_path):
     alone = train(name, tmp_path / "alone")
     together(train_a_share, tmp_path, name)
-    losses = [np.load(tmp_path / f"{rank}.npy") for rank in range(CREW)]
+    losses = [np.load(tmp_path / f"{rank}.npy") for rank in range(PROCESSES)]
     np.testing.assert_array_equal(losses[0], losses[1])
     np.testing.assert_allclose(losses[0], alone.losses, rtol=1e-3)
-    weights = [torch.load(tmp_path / f"{rank}.pt") for rank in range(CREW)]
+    weights = [torch.load(tmp_path / f"{rank}.pt") for rank in range(PROCESSES)]
     for key, value in weights[0].items():
         torch.testing.assert_close(value, weights[1][key], rtol=0, atol=0)
     one, both = (flat(weights) for weights in (alone.family.state_dict(), weights[0]))
@@ -88,18 +90,18 @@ def test_two_end_as_one(name, runs, tmp_path):
 
 def write_roles(rank: int, folder: Path) -> None:
     assert is_main_process() == (rank == 0)
-    assert share() == Share(rank, CREW)
+    assert share() == Share(rank, PROCESSES)
     assert average_value(float(rank)) == 0.5
     path = folder / "made"
-    made = main_process_first(lambda: path.exists() or path.write_text("by the leader"))
+    made = main_process_first(lambda: path.exists() or path.write_text("by the main process"))
     assert (made is True) == (rank != 0)
 
 
-def test_the_leader_goes_first(tmp_path):
+def test_the_main_process_goes_first(tmp_path):
     together(write_roles, tmp_path)
 
 
-def test_one_process_is_a_crew_of_one():
+def test_one_process_is_alone():
     assert is_main_process()
     assert average_value(3.0) == 3.0
     assert list(share().of(5)) == [0, 1, 2, 3, 4]

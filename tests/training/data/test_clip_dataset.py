@@ -11,9 +11,10 @@ import torch
 from rollcast.errors import FootageError
 from rollcast.tracking.tracks import Tracks
 from tests.rollcast.tracking.billiards import COLOURS, FRAME_RATE, HEIGHT, WIDTH, billiards
-from training.cli.footage import rig_clips
+from training.cli.footage import setup_clips
 from training.data.clip_dataset import Clips, ClipStream, Place, load_clips
-from training.engine.trainer import Trainer, TrainerConfig
+from training.engine.loop import TrainerConfig
+from training.engine.trainer import Trainer
 from training.recipes import RECIPES
 
 FRAMES = 60
@@ -121,8 +122,8 @@ def test_the_stream_resumes_anywhere_and_turns_frames_with_positions(folder):
 
 
 def test_a_rig_is_trained_on_its_clips(folder, tmp_path):
-    recipe = replace(RECIPES["rig-2-balls"](), sequences=32, batch_size=8)
-    clips = rig_clips(recipe, folder, None)
+    recipe = replace(RECIPES["setup-2-balls"](), sequences=32, batch_size=8)
+    clips = setup_clips(recipe, folder, None)
     trainer = Trainer(
         recipe, tmp_path / "run", TrainerConfig(validate_every=2, workers=0), clips=clips
     )
@@ -136,15 +137,15 @@ def test_a_rig_is_trained_on_its_clips(folder, tmp_path):
 @pytest.mark.parametrize(
     ("recipe", "named", "balls", "reason"),
     [
-        ("rig-2-balls", False, None, "name their folder with --data"),
-        ("field-one-ball", True, None, "--data is for the recipes rig-"),
-        ("rig-3-balls", True, None, "rig-3-balls forecasts 3 of the clips' balls 0 to 1"),
-        ("rig-one-ball", True, [2], "--balls names 2"),
+        ("setup-2-balls", False, None, "name their folder with --data"),
+        ("field-one-ball", True, None, "--data is for the recipes setup-"),
+        ("setup-3-balls", True, None, "setup-3-balls forecasts 3 of the clips' balls 0 to 1"),
+        ("setup-one-ball", True, [2], "--balls names 2"),
     ],
 )
 def test_recipes_clips_and_balls_have_to_fit(folder, recipe, named, balls, reason):
     with pytest.raises(FootageError, match=reason):
-        rig_clips(RECIPES[recipe](), folder if named else None, balls)
+        setup_clips(RECIPES[recipe](), folder if named else None, balls)
 
 
 def test_what_lies_wrong_in_a_folder_is_named(tmp_path):

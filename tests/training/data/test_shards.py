@@ -1,12 +1,11 @@
 """Shards of scenes: made once, whole or not at all, the same bytes wherever they are made."""
 
-import sys
-
 import fsspec
 import numpy as np
 import pytest
+import typer
 
-from training.__main__ import _with_ray
+from training.cli.options import with_ray
 from training.data.shards import (
     SHARD_SCENES,
     Source,
@@ -71,7 +70,7 @@ def test_any_address_of_fsspecs_will_do(made):
     assert np.load(made / "2000000.npz")["positions"].dtype == np.float32
 
 
-def test_ray_is_an_extra_that_is_asked_for(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(SystemExit, match="--ray needs the extra ray-training"):
-        _with_ray()
+def test_ray_is_an_extra_that_is_asked_for(capsys):
+    with pytest.raises(typer.Exit):
+        with_ray()
+    assert "--ray needs the extra ray-training" in capsys.readouterr().err

@@ -9,7 +9,9 @@ import time
 import torch
 
 from tests.training.conftest import tiny
-from training.engine.trainer import CHECKPOINT, Trainer, TrainerConfig
+from training.common.run_folder import CHECKPOINT
+from training.engine.loop import TrainerConfig
+from training.engine.trainer import Trainer
 from training.recipes.compact import one_ball
 
 PACE = TrainerConfig(validate_every=4, checkpoint_seconds=0, workers=0)

@@ -6,15 +6,10 @@ import torch
 
 from tests.training.conftest import tiny
 from training.common.distributed import Share
-from training.data.feature_cache import rehearsed
-from training.engine.trainer import (
-    BEST,
-    READINGS,
-    Trainer,
-    TrainerConfig,
-    shared_factor,
-    warmed_average,
-)
+from training.common.run_folder import BEST
+from training.data.feature_cache import replayed
+from training.engine.loop import TrainerConfig, warmed_average
+from training.engine.trainer import READINGS, Trainer, shared_factor
 from training.engine.warm_start import Initial, load_fitting
 from training.networks.compact import compact_family
 from training.networks.task import Task
@@ -119,7 +114,7 @@ def bending(runs):
     return replace(tiny(field_one_ball_between()), task=Task(final_step=3))
 
 
-def test_windows_are_read_once_and_rehearsed(bending, tmp_path):
+def test_windows_are_read_once_and_replayed(bending, tmp_path):
     trainer = Trainer(bending, tmp_path, PACE)
     before = {name: value.clone() for name, value in trainer.family.state_dict().items()}
     trainer.run()
@@ -127,10 +122,10 @@ def test_windows_are_read_once_and_rehearsed(bending, tmp_path):
     assert changed == {name for name in before if ".bend." in name}
     readings = torch.load(tmp_path / READINGS, weights_only=True)
     assert len(readings["p"]) == len(readings["s"]) == len(readings["positions"]) == 64
-    batch = next(rehearsed(tmp_path / READINGS, 6, 1, 3, Share()))
+    batch = next(replayed(tmp_path / READINGS, 6, 1, 3, Share()))
     where = [int((readings["p"] == p).all(dim=(1, 2)).nonzero()) for p in batch["sight"].state.p]
     assert torch.equal(batch["positions"], readings["positions"][where])
-    shared = next(rehearsed(tmp_path / READINGS, 6, 1, 3, Share(1, 3)))
+    shared = next(replayed(tmp_path / READINGS, 6, 1, 3, Share(1, 3)))
     assert torch.equal(shared["positions"], batch["positions"][1::3])
 
 

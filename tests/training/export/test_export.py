@@ -7,7 +7,7 @@ import onnx
 import pytest
 import torch
 
-from rollcast.manifest import EYE_FILE, GAUSSIAN_HALF_RADIUS, MANIFEST_FILE, Manifest
+from rollcast.manifest import EYE_FILE, GAUSSIAN_ELLIPSE50_RADIUS, MANIFEST_FILE, Manifest
 from tests.training.conftest import tiny
 from training.engine.warm_start import load_fitting
 from training.evaluation.evaluate import evaluation_sets
@@ -127,8 +127,8 @@ def test_where_tails_are_heavy_half_of_the_truths_have_a_radius_of_their_own(pre
         for part in (truth[:4000], truth[4000:])
     )
     fitted = fit_covariance({"ellipsoid": known})
-    assert fitted.half_radius is not None
-    assert max(fitted.half_radius) < 0.9 * GAUSSIAN_HALF_RADIUS
+    assert fitted.ellipse50_radius is not None
+    assert max(fitted.ellipse50_radius) < 0.9 * GAUSSIAN_ELLIPSE50_RADIUS
     served = with_covariance({"ellipsoid": unseen}, fitted)["ellipsoid"].calibration((0.5, 0.95))
     assert served is not None
     assert (abs(served[0.5] - 0.5) < 0.03).all()

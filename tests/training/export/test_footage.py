@@ -11,9 +11,9 @@ from rollcast.client import Client
 from rollcast.footage import SquareCrop
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from tests.e2e.conftest import start_service, stop_service, wait_until_ready
+from training.common.run_folder import BEST
 from training.data.clip_dataset import Clip, Clips
-from training.engine.trainer import BEST
-from training.export.footage import export_rig
+from training.export.footage import export_setup
 from training.export.load import load_exported
 from training.recipes import RECIPES
 
@@ -45,8 +45,8 @@ def clips() -> dict[str, Clips]:
 
 @pytest.fixture(scope="module")
 def models(clips, tmp_path_factory) -> Path:
-    top = tmp_path_factory.mktemp("rig")
-    recipe = RECIPES["rig-4-balls"]()
+    top = tmp_path_factory.mktemp("setup")
+    recipe = RECIPES["setup-4-balls"]()
     torch.manual_seed(0)
     ((name, network),) = recipe.build().networks().items()
     with torch.no_grad():
@@ -55,7 +55,7 @@ def models(clips, tmp_path_factory) -> Path:
             parameter.add_(0.003 * torch.randn(parameter.shape))
     best = {"weights": {name: network.state_dict()}, "sequences": 640, "horizon": 15}
     torch.save(best, top / BEST)
-    export_rig(recipe, top, clips, top / "models", "arena", 3)
+    export_setup(recipe, top, clips, top / "models", "arena", 3)
     return top / "models"
 
 
@@ -65,8 +65,8 @@ def test_the_manifest_tells_of_the_set_up(models):
     assert (manifest.objects, manifest.angular_velocity) == (4, False)
     assert manifest.frame_rate_hz == RATE_HZ
     assert manifest.colors == COLORS
-    assert manifest.rig is not None
-    assert manifest.rig.crop == (125, 0, 478)
+    assert manifest.setup is not None
+    assert manifest.setup.crop == (125, 0, 478)
     assert manifest.training["clips"] == {"trai": FRAMES - 3 - 30 + 1}
     assert {row.scenario for row in manifest.metrics} == {"footage"}
     assert {row.horizon for row in manifest.metrics} == {1, 7, 15, 30}
@@ -83,7 +83,7 @@ def test_a_line_errs_by_nothing_on_a_straight_way(models):
 
 def test_training_goes_on_from_the_export(models):
     manifest, network = load_exported(models / "arena" / "3")
-    other = replace(RECIPES["rig-4-balls"]()).build().networks()["rig-4"]
+    other = replace(RECIPES["setup-4-balls"]()).build().networks()["setup-4"]
     assert network.state_dict().keys() == other.state_dict().keys()
     assert manifest.training["sequences"] == 640
 

@@ -12,7 +12,7 @@ from tests.training.export.test_export import ROOT
 from training.data.shards import SHARD_SCENES, load_recordings, simulate_split
 from training.data.windows import WindowMaker
 from training.export.export import hashes
-from training.export.ood_fit import FALSE_ALARMS, fit, judge, keep, source_frame_stats
+from training.export.ood_fit import FALSE_ALARMS, calibrate_threshold, fit, keep, source_frame_stats
 
 
 @pytest.fixture(scope="module")
@@ -36,13 +36,13 @@ def test_what_it_was_fitted_to_has_scores_about_one(familiarity, known):
 
 
 def test_the_threshold_leaves_the_wanted_share_above_it(familiarity, known):
-    judged = judge(familiarity, known[1], known[1])
-    assert judged.false_alarm_rate == pytest.approx(FALSE_ALARMS, abs=1 / len(known[1]))
-    assert judged.test_windows == len(known[1])
+    calibrated = calibrate_threshold(familiarity, known[1], known[1])
+    assert calibrated.false_alarm_rate == pytest.approx(FALSE_ALARMS, abs=1 / len(known[1]))
+    assert calibrated.test_windows == len(known[1])
 
 
 def test_other_pictures_are_unfamiliar(familiarity, known, runs):
-    threshold = judge(familiarity, *known[::-1]).threshold
+    threshold = calibrate_threshold(familiarity, *known[::-1]).threshold
     recordings = load_recordings(simulate_split(HEMISPHERE, "validation", SHARD_SCENES, 1))
     frames = WindowMaker(recordings, final_step=None).window(0, 80, 1).frames
     noise = np.random.default_rng(0).normal(0, 40, frames.shape)
@@ -62,7 +62,7 @@ def test_other_pictures_are_unfamiliar(familiarity, known, runs):
 
 def test_an_artefact_keeps_it(familiarity, known, tmp_path):
     folder = shutil.copytree(ROOT / "models" / "posnet" / "1", tmp_path / "posnet" / "1")
-    unfamiliar = judge(familiarity, known[0], known[1])
+    unfamiliar = calibrate_threshold(familiarity, known[0], known[1])
     manifest = keep(familiarity, unfamiliar, folder)
     assert Manifest.read(folder / MANIFEST_FILE) == manifest
     assert manifest.unfamiliar == unfamiliar

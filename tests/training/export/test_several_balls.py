@@ -9,7 +9,8 @@ import torch
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from tests.training.conftest import tiny
 from training.data.shards import SHARD_SCENES, Source
-from training.engine.trainer import Trainer, TrainerConfig
+from training.engine.loop import TrainerConfig
+from training.engine.trainer import Trainer
 from training.engine.warm_start import Initial
 from training.export.export import export_run
 from training.export.load import load_exported, read_initial

@@ -7,7 +7,8 @@ import torch
 
 from tests.training.conftest import tiny
 from training.data.shards import SHARD_SCENES
-from training.engine.trainer import Trainer, TrainerConfig
+from training.engine.loop import TrainerConfig
+from training.engine.trainer import Trainer
 from training.engine.warm_start import Initial, load_fitting
 from training.export.export import export_run
 from training.export.load import load_exported

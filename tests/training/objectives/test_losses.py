@@ -22,7 +22,7 @@ def test_likelihood_is_that_of_a_bivariate_normal():
     )
 
 
-def test_perplexity_of_a_rayleigh_error_is_the_papers():
+def test_nll_of_a_rayleigh_error_is_the_papers():
     # A mean error of 2.9 px is sigma = 2.9 / sqrt(pi / 2) an axis; the paper prints 4.5 nats.
     sigma = 2.9 / (torch.pi / 2) ** 0.5
     truth = sigma * torch.randn(200_000, 2, generator=torch.Generator().manual_seed(0))

@@ -24,7 +24,7 @@ def test_a_gaussian_forecast_of_gaussian_truth_is_calibrated():
     np.testing.assert_allclose(coverage[0.50], 0.50, atol=0.02)
     np.testing.assert_allclose(coverage[0.95], 0.95, atol=0.01)
     entropy = np.log(2 * np.pi * np.e) + 0.5 * np.log(np.linalg.det(covariance))
-    np.testing.assert_allclose(forecasts.perplexity(), entropy, atol=0.03)
+    np.testing.assert_allclose(forecasts.nll_nats(), entropy, atol=0.03)
 
 
 def test_errors_and_spin_by_hand():

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from rollcast.tracking.tracks import Tracks
 from tests.rollcast.tracking.billiards import RADIUS_PX, billiards
-from training.__main__ import _parser
+from training.__main__ import app
 from training.data.clip_dataset import Clips, Setup
-from training.recipes.rig import T_TRAIN
+from training.recipes.setup import T_TRAIN
 from training.reporting.footage_page import (
     FootageSource,
     Shot,
@@ -53,8 +54,6 @@ def test_a_few_clips_train_up_to_the_compared_step_alone():
     assert of_one_clip("few").trained_horizon == T_TRAIN
 
 
-def test_without_the_clips_it_is_skipped_with_a_line(tmp_path, capsys):
-    given = _parser().parse_args(["real", str(tmp_path)])
-    given.run(given)
-    said = capsys.readouterr().out
+def test_without_the_clips_it_is_skipped_with_a_line(tmp_path):
+    said = CliRunner().invoke(app, ["real", str(tmp_path)]).output
     assert said.startswith(f"skipped: {tmp_path} has no 4Ball-short1.mp4, ")

@@ -1,4 +1,4 @@
-"""The table of a rig, on clips whose figures are known beforehand."""
+"""The table of a set-up, on clips whose figures are known beforehand."""
 
 from dataclasses import replace
 
@@ -7,10 +7,17 @@ import pytest
 import torch
 
 from rollcast.footage import SquareCrop
+from training.common.run_folder import BEST
 from training.data.clip_dataset import Clip, Clips
-from training.engine.trainer import BEST
 from training.recipes import RECIPES
-from training.reporting.footage_report import T_GEN, T_TRAIN, Measured, Rig, markdown, measure
+from training.reporting.footage_report import (
+    T_GEN,
+    T_TRAIN,
+    Measured,
+    SetupClips,
+    markdown,
+    measure,
+)
 
 SPEED_PX = (0.5, 1.0)
 FRAMES = 60
@@ -38,8 +45,8 @@ def straight(seed: int) -> Clip:
 
 
 @pytest.fixture
-def rig() -> Rig:
-    return Rig(
+def setup() -> SetupClips:
+    return SetupClips(
         {split: Clips([straight(k)]) for k, split in enumerate(("training", "validation", "test"))}
     )
 
@@ -48,23 +55,23 @@ def by_balls(rows: list[Measured]) -> dict[str, dict[int, float]]:
     return {row.balls: {t: error for t, (error, _) in row.errors.items()} for row in rows}
 
 
-def test_who_stays_put_errs_by_the_way_that_balls_go(rig):
-    errors = by_balls(list(measure(rig, ["stays put"], [])))
+def test_who_stays_put_errs_by_the_way_that_balls_go(setup):
+    errors = by_balls(list(measure(setup, ["constant position"], [])))
     for t in (T_TRAIN, T_GEN):
         assert errors["all"][t] == pytest.approx(np.mean(SPEED_PX) * (t - 1), abs=1e-3)
         assert errors["first"][t] == pytest.approx(SPEED_PX[0] * (t - 1), abs=1e-3)
 
 
 @pytest.mark.parametrize("method", ["linear", "quadratic"])
-def test_polynomials_err_by_nothing_on_a_straight_way(rig, method):
-    errors = by_balls(list(measure(rig, [method], [])))
+def test_polynomials_err_by_nothing_on_a_straight_way(setup, method):
+    errors = by_balls(list(measure(setup, [method], [])))
     assert max(errors["all"].values()) < 1e-3
 
 
-def test_states_are_places_and_displacements(rig):
-    states = rig.states("test")
-    clip = rig.clips["test"].clips[0]
-    first = rig.places["test"][1].start
+def test_states_are_places_and_displacements(setup):
+    states = setup.states("test")
+    clip = setup.clips["test"].clips[0]
+    first = setup.places["test"][1].start
     places = 64 + 64 * states.positions[1].numpy()
     np.testing.assert_allclose(places[:, 0], clip.positions[:, first], atol=1e-4)
     speeds = 64 * states.velocities.norm(dim=-1)
@@ -72,18 +79,18 @@ def test_states_are_places_and_displacements(rig):
     np.testing.assert_allclose(speeds[:, 1], SPEED_PX[1], atol=1e-4)
 
 
-def test_a_run_is_measured_with_the_ellipses_of_its_validation_clips(rig, tmp_path, monkeypatch):
+def test_a_run_is_measured_with_the_ellipses_of_its_validation_clips(setup, tmp_path, monkeypatch):
     monkeypatch.setenv("ROLLCAST_RUNS", str(tmp_path))
-    recipe = replace(RECIPES["rig-2-balls"](), name="untrained")
+    recipe = replace(RECIPES["setup-2-balls"](), name="untrained")
     torch.manual_seed(0)
     (name, network), *_ = recipe.build().networks().items()
     (tmp_path / "untrained").mkdir()
     torch.save({"weights": {name: network.state_dict()}}, tmp_path / "untrained" / BEST)
-    every, first = measure(rig, [], [recipe])
+    every, first = measure(setup, [], [recipe])
     assert (every.balls, first.balls) == ("all", "first")
     assert every.inside is not None
     for half, most in every.inside.values():
         assert 0 <= half <= most <= 1
     assert f"| untrained | first | {first.errors[T_TRAIN][0]:.1f} ±" in markdown(
-        [every, first], rig
+        [every, first], setup
     )

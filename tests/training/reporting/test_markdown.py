@@ -21,7 +21,7 @@ def test_the_readme_holds_the_committed_models_figures():
     line = next(
         line
         for line in overview(manifests).splitlines()
-        if line.startswith(f"| {row.scenario}, T=20 ({row.sequences}) |")
+        if line.startswith(f"| {row.scenario} ({row.sequences}) |")
     )
     assert f"| {row.position_error_px:.1f} |" in line
 

@@ -49,7 +49,7 @@ def test_the_models_beat_staying_put_and_agree_with_themselves(made):
     errors = {(c.scenario, c.method, c.at): c.position_error_px for c in results.cells}
     for cell in results.cells:
         if cell.variant == "posnet" and cell.at == "T=20":
-            assert cell.position_error_px < errors[cell.scenario, "stays put", "T=20"]
+            assert cell.position_error_px < errors[cell.scenario, "constant position", "T=20"]
     assert disagreements(results, results) == []
 
 
@@ -63,11 +63,11 @@ def test_a_figure_that_is_off_is_found(made):
 
 
 def test_the_papers_figures_are_those_of_its_tables():
-    line = published("hemisphere", 1, "line", "T=40")
+    line = published("hemisphere", 1, "linear extrapolation", "T=40")
     assert line is not None
     assert line.position_error_px == 127.5
     probnet = published("ellipsoid", 2, "probnet", "T=30")
     assert probnet is not None
-    assert (probnet.position_error_px, probnet.perplexity) == (19.8, 14.0)
-    assert published("ellipsoid", 1, "line", "T=20") is None
+    assert (probnet.position_error_px, probnet.nll_nats) == (19.8, 14.0)
+    assert published("ellipsoid", 1, "linear extrapolation", "T=20") is None
     assert angular_speed_rad_s("heightfield") == 2.8

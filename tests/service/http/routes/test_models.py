@@ -12,7 +12,7 @@ def test_every_version_is_listed_with_its_status(client):
         "scenarios": ["hemisphere", "ellipsoid", "heightfield"],
         "objects": 1,
         "frame_rate_hz": 40.0,
-        "rig": None,
+        "setup": None,
         "frames": 4,
         "final_step": None,
         "trained_horizon": 20,
@@ -20,7 +20,7 @@ def test_every_version_is_listed_with_its_status(client):
         "angular_velocity": True,
         "metrics": {"validation_error_px": 3.0, "rows": []},
     }
-    assert models["broken@1"]["status"] == "refused"
+    assert models["broken@1"]["status"] == "invalid"
     assert models["broken@1"]["reason"] == "manifest.json is missing"
     assert models["broken@1"]["variant"] is None
 
@@ -38,4 +38,4 @@ def test_one_version(client):
 
 def test_a_refused_version_is_shown_too(client):
     model = client.get("/models/broken/versions/1").json()
-    assert (model["status"], model["card"]) == ("refused", None)
+    assert (model["status"], model["card"]) == ("invalid", None)

@@ -24,7 +24,7 @@ def test_the_answer_has_every_field_of_the_design(client):
             }
         ],
         "times_s": [0.0, 0.025, 0.05],
-        "half_radii": [pytest.approx(1.1774, abs=1e-4)] * 3,
+        "ellipse50_radii": [pytest.approx(1.1774, abs=1e-4)] * 3,
         "final_positions": None,
         "warnings": [],
     }
@@ -89,10 +89,10 @@ def test_a_variance_scale_widens_the_predicted_covariance(start):
 
 
 def test_half_radii_are_the_models(start):
-    covariance = {"source": "predicted", "half_radius": [0.9, 0.8]}
+    covariance = {"source": "predicted", "ellipse50_radius": [0.9, 0.8]}
     client = start(lambda _: registry_of(served(covariance=covariance)))
     answer = client.post("/predict", json=body(horizon=3)).json()
-    assert answer["half_radii"] == [0.9, 0.8, 0.8]
+    assert answer["ellipse50_radii"] == [0.9, 0.8, 0.8]
 
 
 def registry_of(*models):

@@ -36,7 +36,7 @@ def test_the_events_are_the_answer_of_predict_in_pieces(client, objects):
     assert last == "done"
     for index, (_, step) in enumerate(steps):
         assert (step["step"], step["time_s"]) == (index, whole["times_s"][index])
-        assert step["half_radius"] == whole["half_radii"][index]
+        assert step["ellipse50_radius"] == whole["ellipse50_radii"][index]
         for ball, expected in zip(step["objects"], whole["objects"], strict=True):
             assert ball == {
                 "id": expected["id"],

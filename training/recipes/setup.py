@@ -16,18 +16,18 @@ T_TRAIN, T_GEN = 15, 30
 """Of the paper's real footage. Training reaches T_gen, for its balls never end rolling."""
 
 
-def rig(objects: int) -> Recipe:
+def setup(objects: int) -> Recipe:
     """FieldNet for balls that a camera saw, best from one that simulation taught (``--init``).
 
     Tracks tell neither heights nor ground nor spin: these stay numbers that forecasts are good
     with. The eye learns first, then both.
     """
-    name = f"rig-{objects}"
+    name = f"setup-{objects}"
     likelihood = LikelihoodLoss(halving=15, regulariser=0.0, outlier=5.0)
     loss = DoubtLoss(DistanceLoss(halving=15, rounding=0.1), likelihood, weight=0.2)
     horizons = (Milestone(0, 1), Milestone(0.15, 2), Milestone(0.5, T_TRAIN), Milestone(0.8, T_GEN))
     return Recipe(
-        name=f"rig-{objects}-balls" if objects > 1 else "rig-one-ball",
+        name=f"setup-{objects}-balls" if objects > 1 else "setup-one-ball",
         preset="field",
         members=(Member(name, "fieldnet", loss),),
         spin_loss=SpinLoss(),  # nothing, for nothing is said of spin
@@ -41,12 +41,12 @@ def rig(objects: int) -> Recipe:
     )
 
 
-def rig_seeing(objects: int) -> Recipe:
-    """Train the eye alone, of a network that :func:`rig` has trained (``--init``).
+def setup_seeing(objects: int) -> Recipe:
+    """Train the eye alone, of a network that :func:`setup` has trained (``--init``).
 
     From frames alone an eye learns several times as fast: what several balls that look alike need.
     """
-    recipe = rig(objects)
+    recipe = setup(objects)
     assert recipe.explicit is not None
     horizons = (Milestone(0, 1),)
     return replace(
@@ -54,14 +54,14 @@ def rig_seeing(objects: int) -> Recipe:
         name=f"{recipe.name}-seeing",
         curriculum=horizons,
         explicit=replace(recipe.explicit, curriculum=horizons),
-        taught=("rolling.", "first_doubt."),
+        frozen=("rolling.", "first_doubt."),
         average_decay=0.995,
     )
 
 
-def rig_continued(objects: int) -> Recipe:
+def setup_continued(objects: int) -> Recipe:
     """Go on with eye and motion together, of a network that knows both (``--init``)."""
-    recipe = rig(objects)
+    recipe = setup(objects)
     assert recipe.explicit is not None
     horizons = (Milestone(0, T_TRAIN), Milestone(0.5, T_GEN))
     return replace(

@@ -1,0 +1,45 @@
+"""Footage of any kind becomes a source of frames: the content decides, not the name."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rollcast.errors import MissingExtraError
+from rollcast.footage import FrameSource
+from rollcast.image_sequence import ImageSequence, is_tiff
+from rollcast.trajectory import FRAME_RATE_HZ
+
+
+def open_clip(
+    path: Path | Sequence[Path], *, rate: float | None = None, default_rate: float = FRAME_RATE_HZ
+) -> FrameSource:
+    """Open a video, a folder of images, a TIFF file of several pages, or images in order.
+
+    Parameters
+    ----------
+    path
+        One path, or those of several images.
+    rate
+        Frames a second that the camera took; None for what a video tells.
+    default_rate
+        Frames a second of images, where ``rate`` is None.
+
+    Raises
+    ------
+    FootageError
+        When it cannot be read.
+    MissingExtraError
+        When it is a video and PyAV is not installed.
+    """
+    if not isinstance(path, Path):
+        if len(path) > 1:
+            return ImageSequence.from_files(path, rate or default_rate, "the images")
+        path = path[0]
+    if path.is_dir():
+        return ImageSequence.from_folder(path, rate or default_rate)
+    if is_tiff(path):
+        return ImageSequence.from_stack(path, rate or default_rate)
+    try:
+        from rollcast.video import VideoFile
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("videos need", "PyAV", "video") from error
+    return VideoFile(path, camera_hz=rate)

@@ -1,0 +1,256 @@
+"""Image files, or the pages of a TIFF file, as footage.
+
+The order is that of the numbers in the names, frame10 after frame9, for every reader. Where the
+numbers of files that differ in one number alone leave gaps, the gaps are time: no camera skips a
+number for nothing.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import UInt8
+
+from rollcast.errors import FootageError, FrameError
+from rollcast.footage import TakenFrame
+from rollcast.frames import (
+    DECODER_ERRORS,
+    as_frame,
+    decoded_page,
+    is_heic,
+    is_image_name,
+    open_image,
+    require_regular_file,
+    shown_path,
+)
+
+TIFF_HEADS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+GAPS_NAMED = 3
+"""Gaps that a warning names; of more it gives the number."""
+
+
+class _Page(NamedTuple):
+    """One picture: a file, or a page of one."""
+
+    path: Path
+    page: int | None = None
+
+    def __str__(self) -> str:
+        place = "" if self.page is None else f", page {self.page + 1}"
+        return f"{shown_path(self.path)}{place}"
+
+    def load(self) -> UInt8[np.ndarray, "height width 3"]:
+        """Read it; raises FrameError or OSError."""
+        if self.page is None:
+            return as_frame(self.path)
+        try:
+            with open_image(self.path) as image:
+                image.seek(self.page)
+                return decoded_page(image, str(self))
+        except FrameError:
+            raise
+        except DECODER_ERRORS as error:
+            raise FrameError(f"{self} is damaged: {error}") from error
+
+
+class ImageSequence:
+    """Images as a source of frames (``rollcast.footage.FrameSource``); each is read when needed.
+
+    Parameters
+    ----------
+    name
+        Name for messages.
+    rate
+        Images a second.
+    numbers
+        Number of each image in the sequence, ascending.
+    warnings
+        Sentences about the sequence.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        pages: Sequence[_Page],
+        rate: float,
+        numbers: Sequence[int] | None = None,
+        warnings: Sequence[str] = (),
+    ) -> None:
+        self.name = name
+        self.warnings = list(warnings)
+        self._pages = list(pages)
+        self._size: tuple[int, int] | None = None
+        self.rate = rate
+        self.numbers = list(range(len(pages))) if numbers is None else list(numbers)
+
+    @classmethod
+    def from_files(cls, paths: Sequence[Path], rate: float, name: str) -> "ImageSequence":
+        """Return image files in the order given; numbers in their names tell gaps."""
+        numbers, warnings = _numbering(paths)
+        return cls(name, [_Page(path) for path in paths], rate, numbers, warnings)
+
+    @classmethod
+    def from_folder(cls, folder: Path, rate: float) -> "ImageSequence":
+        """Return the images of a folder in the order of their numbers.
+
+        Raises
+        ------
+        FootageError
+            When the folder cannot be read.
+        """
+        return cls.from_files(image_files(folder), rate, shown_path(folder))
+
+    @classmethod
+    def from_stack(cls, path: Path, rate: float) -> "ImageSequence":
+        """Return the pages of a TIFF file.
+
+        Raises
+        ------
+        FootageError
+            When it cannot be read.
+        """
+        try:
+            with open_image(path) as image:
+                pages = int(getattr(image, "n_frames", 1))
+        except DECODER_ERRORS as error:
+            raise FootageError(f"{shown_path(path)} cannot be read: {error}") from error
+        return cls(shown_path(path), [_Page(path, index) for index in range(pages)], rate)
+
+    def __len__(self) -> int:
+        """Return how many images there are."""
+        return len(self._pages)
+
+    def frames(self, start_s: float = 0.0) -> Iterator[TakenFrame]:
+        """Yield the images from the last one at or before a time on."""
+        times_s = [(number - self.numbers[0]) / self.rate for number in self.numbers]
+        before = [index for index, time_s in enumerate(times_s) if time_s <= start_s]
+        first = before[-1] if before else 0
+        for time_s, page in zip(times_s[first:], self._pages[first:], strict=True):
+            yield TakenFrame(time_s, partial(self._load, page))
+
+    def _load(self, page: _Page) -> UInt8[np.ndarray, "height width 3"]:
+        try:
+            picture = page.load()
+        except FrameError:
+            raise
+        except OSError as error:
+            raise FootageError(f"{page} cannot be read: {error.strerror or error}") from error
+        height, width = picture.shape[:2]
+        if self._size not in (None, (width, height)):
+            raise FootageError(
+                f"{page} is {width} x {height}, the first image {self._size[0]} x {self._size[1]}"
+            )
+        self._size = (width, height)
+        return picture
+
+
+def image_files(folder: Path) -> list[Path]:
+    """Return the images of a folder in the order of the numbers in their names.
+
+    Hidden files (``.DS_Store``, ``._frame1.png``) and files that are no images are passed over.
+
+    Raises
+    ------
+    FootageError
+        When the folder cannot be read.
+    """
+    try:
+        files = [path for path in folder.iterdir() if not is_hidden(path) and path.is_file()]
+    except OSError as error:
+        raise FootageError(f"{shown_path(folder)} cannot be read: {error.strerror}") from error
+    return in_order(path for path in files if _is_image(path))
+
+
+def in_order(paths: Iterator[Path] | Sequence[Path]) -> list[Path]:
+    """Sort paths by name, with the numbers in the names as numbers: frame10 after frame9."""
+    return sorted(paths, key=lambda path: (_parts(path.name), path.name))
+
+
+def is_hidden(path: Path) -> bool:
+    """Whether file managers hide a file: ``.DS_Store``, ``._name`` that macOS leaves behind."""
+    return path.name.startswith(".")
+
+
+def is_tiff(path: Path) -> bool:
+    """Whether a file begins as TIFF files do.
+
+    Raises
+    ------
+    FootageError
+        When it is a pipe or cannot be read.
+    """
+    return _head(path)[:4] in TIFF_HEADS
+
+
+def _head(path: Path) -> bytes:
+    try:
+        require_regular_file(path)
+        with path.open("rb") as file:
+            return file.read(12)
+    except OSError as error:
+        raise FootageError(f"{shown_path(path)} cannot be read: {error.strerror}") from error
+
+
+def _is_image(path: Path) -> bool:
+    """Whether a file is an image by its name or its content; reading a damaged one names it."""
+    if is_image_name(path.name):
+        return True
+    try:
+        open_image(path).close()
+    except DECODER_ERRORS:
+        return is_heic(_head(path))
+    return True
+
+
+def _parts(name: str) -> list[str | int]:
+    """Text and numbers in turn; only ASCII digits are numbers (``int`` refuses others)."""
+    return [
+        int(part) if index % 2 else part for index, part in enumerate(re.split("([0-9]+)", name))
+    ]
+
+
+def _numbering(paths: Sequence[Path]) -> tuple[list[int] | None, list[str]]:
+    """Return the place of each image in time, in images, and what to warn of."""
+    found = _numbers_in(paths)
+    if found is None:
+        return None, []
+    steps = np.diff(found)
+    if (steps <= 0).any():
+        return None, [
+            "the images are taken in the order in which they are named, which is not that of "
+            "their numbers; a folder is read by number"
+        ]
+    step, often = Counter(steps.tolist()).most_common(1)[0]
+    if step != steps.min() or 2 * often <= len(steps) or (steps % step).any():
+        return None, []  # the numbers do not count images: they may be times
+    numbers = [(number - found[0]) // step for number in found]
+    gaps = [index for index in range(len(steps)) if steps[index] > step]
+    if not gaps:
+        return None, []
+    return numbers, [_gap_warning(paths, numbers, gaps)]
+
+
+def _numbers_in(paths: Sequence[Path]) -> list[int] | None:
+    """Return the only number in which the names differ."""
+    names = [_parts(path.stem) for path in paths]
+    if len(paths) < 2 or any(len(parts) != len(names[0]) for parts in names):
+        return None
+    differing = [place for place, parts in enumerate(zip(*names, strict=True)) if len({*parts}) > 1]
+    if len(differing) != 1 or differing[0] % 2 == 0:
+        return None
+    return [int(parts[differing[0]]) for parts in names]
+
+
+def _gap_warning(paths: Sequence[Path], numbers: Sequence[int], gaps: Sequence[int]) -> str:
+    missing = sum(numbers[index + 1] - numbers[index] - 1 for index in gaps)
+    places = ", ".join(shown_path(paths[index].name) for index in gaps[:GAPS_NAMED])
+    more = "" if len(gaps) <= GAPS_NAMED else f" and {len(gaps) - GAPS_NAMED} more"
+    images = "image is" if missing == 1 else "images are"
+    return (
+        f"{missing} {images} missing from the numbering, after {places}{more}: the gap counts as "
+        "time"
+    )

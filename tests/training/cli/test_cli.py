@@ -1,0 +1,78 @@
+"""The command line: names, refusals, and Ctrl-C in a real training."""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from typer.testing import CliRunner
+
+from training.__main__ import app
+from training.cli.train import within
+from training.common.run_folder import CHECKPOINT
+from training.recipes import RECIPES, summary
+from training.recipes.tiny import tiny
+
+COMMANDS = {
+    "simulate", "check-world", "train", "plot-run", "auto-train", "evaluate", "error-breakdown",
+    "export", "quantise", "fit-ood", "setup", "real", "study", "report",
+}  # fmt: skip
+
+
+def test_help_names_every_command_and_nothing_of_libraries():
+    ran = subprocess.run(
+        [sys.executable, "-m", "training", "--help"], capture_output=True, text=True, check=True
+    )
+    listed = ran.stdout[ran.stdout.index("Commands:") :].splitlines()[1:]
+    assert {line.split()[0] for line in listed if re.match(r"  \S", line)} == COMMANDS
+    assert ran.stdout.startswith("Usage: ")
+
+
+def test_every_recipe_has_a_line_in_the_help_of_train():
+    text = CliRunner().invoke(app, ["train", "--help"]).output
+    lines = {line.split()[0]: line for line in text.splitlines() if line.startswith("    ")}
+    for name in RECIPES:
+        assert lines[name].endswith(summary(name))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["train", "nobody"], "'nobody' is not one of tiny, one-ball"),
+        (["train", "tiny", "--sequences", "3"], "a batch of tiny has 32"),
+        (["setup", "tiny", "--data", "x"], "'tiny' is not one of setup-one-ball"),
+        (["study", "nobody"], "'nobody' is not one of long-term"),
+        (["evaluate"], "name one model"),
+        (["evaluate", "--all", "--split", "validation"], "--all measures the test split"),
+        (["export", "tiny"], "run `python -m training train tiny` first"),
+    ],
+)
+def test_a_refusal_names_the_value_and_what_would_be_right(words, said, runs):
+    ran = CliRunner().invoke(app, words)
+    assert ran.exit_code in {1, 2}
+    assert said in " ".join(re.sub(r"[│╭╮╰╯─]", " ", ran.output).split())
+
+
+def test_a_budget_replaces_the_recipes():
+    short = within(tiny(), 64, 50)
+    assert (short.sequences, short.data[0].scenes, short.validation_scenes) == (64, 50, 50)
+    usual = tiny()
+    assert within(usual, None, None) is usual
+
+
+def test_ctrl_c_says_how_to_go_on(runs):
+    command = [sys.executable, "-m", "training", "train", "tiny", "--scenes", "50"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    events = runs / "tiny" / "events"
+    deadline = time.monotonic() + 1200
+    while not events.exists() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.1)
+    time.sleep(1)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=1200)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    assert "the same command goes on from there" in errors.splitlines()[-1]
+    assert (runs / "tiny" / CHECKPOINT).exists()

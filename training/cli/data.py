@@ -1,0 +1,56 @@
+"""Commands about simulated scenes."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rollcast.scene import Scenario
+from training.cli.options import CORES, Workers, ray_option, with_ray
+from training.data.shards import Source, data_folder, in_processes, make_missing, split_shards
+from training.data.splits import Split
+from training.evaluation import world_check
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command("simulate")(simulate)
+    app.command("check-world")(check_world)
+
+
+def simulate(
+    scenario: Annotated[Scenario, typer.Argument()],
+    objects: Annotated[int, typer.Option(min=1, max=3, help="balls")] = 1,
+    radius: Annotated[
+        float | None, typer.Option(help="ball radius in metres (default: 0.225)")
+    ] = None,
+    split: Annotated[Split, typer.Option()] = "training",
+    scenes: Annotated[int, typer.Option(min=1)] = 1000,
+    workers: Workers = CORES,
+    ray: Annotated[str | None, ray_option("simulate on all its nodes")] = None,
+    output: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="path or address that fsspec knows, such as s3://bucket/folder (default: where "
+            "training looks for it in ROLLCAST_RUNS)",
+        ),
+    ] = None,
+) -> None:
+    """Simulate scenes of a split; existing ones are kept."""
+    source = Source(scenario, objects, radius)
+    folder = _address(output or str(data_folder(source, split)))
+    shards = split_shards(source, split, scenes, folder)
+    make = in_processes(workers) if ray is None else with_ray().on_ray(ray)
+    make_missing(shards, make, f"{source.name} {split}")
+    typer.echo(f"{len(shards)} shards in {folder}")
+
+
+def check_world(scenes: Annotated[int, typer.Option(min=1)] = 100) -> None:
+    """Show how hard the simulated world is beside the paper's."""
+    typer.echo(world_check.report(scenes))
+
+
+def _address(text: str) -> str:
+    """Make a path absolute, for processes that run elsewhere; other addresses stay as they are."""
+    return text if "://" in text else str(Path(text).resolve())

@@ -1,0 +1,180 @@
+"""Commands that measure, take apart, export and convert models."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from rollcast.manifest import MANIFEST_FILE, Manifest
+from training.cli import footage
+from training.cli.options import (
+    CORES,
+    MODELS,
+    Balls,
+    Data,
+    Model,
+    RecipeName,
+    TestScenes,
+    Workers,
+    failed,
+    recipe_of,
+)
+from training.common.settings import runs_folder
+from training.data.shards import Source
+from training.evaluation.error_breakdown import dissected, dissection_table
+from training.evaluation.evaluate import evaluation_sets, markdown_table, metric_rows, run
+from training.evaluation.real_clips import table as real_clips_table
+from training.export.export import export_run, with_covariance
+from training.export.footage import export_setup
+from training.export.load import load_exported
+from training.export.ood_fit import FAMILIAR_SCENES, familiarise
+from training.export.static_quantisation import NotWorthItError
+from training.export.static_quantisation import quantise as quantise_model
+from training.networks.fieldnet import FieldNet
+from training.studies.publish import DOCS, publish
+
+Version = Annotated[int, typer.Option(min=1)]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command("evaluate")(evaluate)
+    app.command("error-breakdown")(error_breakdown)
+    app.command("real-clips")(real_clips)
+    app.command("export")(export)
+    app.command("quantise")(quantise)
+    app.command("fit-ood")(fit_ood)
+
+
+def real_clips(
+    model: Annotated[Path, typer.Argument(help="models/NAME/VERSION")],
+    clips: Annotated[Path, typer.Argument(help="folder of videos")],
+    tracks: Annotated[Path, typer.Argument(help="folder of setup.json and one table per clip")],
+) -> None:
+    """Measure how often a model finds the ball in real clips with tracks."""
+    _, network = load_exported(model)
+    for line in real_clips_table(network, clips, tracks):
+        typer.echo(line)
+
+
+def evaluate(
+    model: Annotated[Path | None, typer.Argument(help="models/NAME/VERSION")] = None,
+    every: Annotated[
+        bool,
+        typer.Option("--all", help="every committed model, into docs/results (test split)"),
+    ] = False,
+    split: Annotated[Literal["validation", "test"], typer.Option()] = "test",
+    scenes: Annotated[int, typer.Option(min=1, help="scenes per scenario")] = 500,
+    workers: Workers = CORES,
+) -> None:
+    """Measure exported models on fixed scenes."""
+    if (model is None) != every:
+        failed("name one model (models/NAME/VERSION), or --all")
+    if model is None:
+        if split != "test":
+            failed(f"--all measures the test split, not --split {split}")
+        results = publish(MODELS, DOCS, scenes, workers)
+        typer.echo(f"{len(results.cells)} figures in {DOCS / 'results.md'}")
+        return
+    manifest, predictor = load_exported(model)
+    kind = (manifest.simulated, manifest.objects, manifest.final_step)
+    sets = evaluation_sets(*kind, split, scenes, workers)
+    forecasts = with_covariance(run(predictor, sets), manifest.covariance)
+    typer.echo(markdown_table(metric_rows(sets, forecasts, manifest.trained_horizon)))
+
+
+def error_breakdown(
+    model: Model,
+    scenes: Annotated[int, typer.Option(min=1, help="scenes per scenario")] = 100,
+    workers: Workers = CORES,
+) -> None:
+    """Take the validation error of a fieldnet apart: parts of its state from the truth."""
+    manifest, network = load_exported(model)
+    if not isinstance(network, FieldNet):
+        failed(f"{manifest.label} is a {manifest.variant}; only a fieldnet's state has parts")
+    errors = {
+        scenario: dissected(network, Source(scenario, manifest.objects), scenes, workers)
+        for scenario in manifest.simulated
+    }
+    typer.echo(dissection_table(errors, manifest.objects))
+
+
+def export(
+    recipe: RecipeName,
+    version: Version = 1,
+    models: Annotated[Path, typer.Option(help="folder that the models go to")] = MODELS,
+    scenes: TestScenes = 500,
+    data: Data = None,
+    balls: Balls = None,
+    name: Annotated[
+        str | None, typer.Option(help="of a model for clips (default: the recipe's)")
+    ] = None,
+    ood_scenes: Annotated[
+        int,
+        typer.Option(min=0, help="scenes to fit the out-of-distribution score to; 0 for none"),
+    ] = FAMILIAR_SCENES,
+    workers: Workers = CORES,
+) -> None:
+    """Export a recipe's best networks and validate the exports."""
+    chosen, folder = recipe_of(recipe), runs_folder() / recipe
+    clips = footage.clips_of(recipe, data, balls)
+    try:
+        if clips is not None:
+            called = name or chosen.members[0].name
+            _show([export_setup(chosen, folder, clips, models, called, version)])
+            return
+        manifests = export_run(chosen, folder, models, version, scenes, workers)
+    except FileNotFoundError as error:
+        failed(
+            f"no trained weights at {error.filename}: run `python -m training train {recipe}` "
+            "first, or name the folder of its runs with ROLLCAST_RUNS"
+        )
+    complete(manifests, models, workers, ood_scenes)
+
+
+def complete(
+    manifests: Sequence[Manifest], models: Path, workers: int, ood_scenes: int = FAMILIAR_SCENES
+) -> None:
+    """Fit the out-of-distribution score of exports, and print how good they are."""
+    folders = [models / manifest.name / str(manifest.version) for manifest in manifests]
+    if ood_scenes:
+        familiarise(folders, ood_scenes, workers)
+    _show(manifests)
+
+
+def _show(manifests: Sequence[Manifest]) -> None:
+    """Print how exports were validated and how well they do on the test split."""
+    for manifest in manifests:
+        typer.echo(f"## {manifest.label}\n")
+        for output, error in manifest.parity.max_abs_error.items():
+            tolerance = manifest.parity.tolerance[output]
+            typer.echo(f"{output}: torch and ONNX differ by {error} (tolerance {tolerance})")
+        typer.echo(
+            f"\n{markdown_table([row for row in manifest.metrics if row.split == 'test'])}\n"
+        )
+
+
+def quantise(
+    model: Model, version: Version = 2, scenes: TestScenes = 500, workers: Workers = CORES
+) -> None:
+    """Write another version of an exported model, faster in 8 bits, if it is worth it."""
+    try:
+        manifest = quantise_model(model, version, scenes, workers)
+    except NotWorthItError as error:
+        failed(error)
+    typer.echo(f"{manifest.label}, from {manifest.training['quantised']}")
+
+
+def fit_ood(
+    models: Annotated[
+        list[Path] | None,
+        typer.Argument(help="models/NAME/VERSION (default: all committed ones)"),
+    ] = None,
+    scenes: Annotated[int, typer.Option(min=1, help="scenes to fit to, a kind")] = FAMILIAR_SCENES,
+    workers: Workers = CORES,
+) -> None:
+    """Write into exported models how to tell frames that look unlike the training's."""
+    folders = models or [path.parent for path in MODELS.glob(f"*/*/{MANIFEST_FILE}")]
+    for manifest in familiarise(folders, scenes, workers):
+        typer.echo(f"{manifest.label}: {manifest.unfamiliar}")

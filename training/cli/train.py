@@ -1,0 +1,183 @@
+"""Commands that train: a recipe, or every family in rounds."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from training.cli import footage
+from training.cli.models import complete
+from training.cli.options import (
+    CORES,
+    MODELS,
+    Balls,
+    Data,
+    RecipeName,
+    TestScenes,
+    Workers,
+    failed,
+    ray_option,
+    recipe_of,
+    with_ray,
+)
+from training.common.settings import runs_folder
+from training.data.clip_dataset import Clips
+from training.data.splits import Split
+from training.engine.loop import TrainerConfig, TrainingStoppedError
+from training.engine.trainer import Trainer
+from training.engine.warm_start import Initial
+from training.export.export import export_run
+from training.export.load import initial_networks
+from training.networks.recurrent import Predictor
+from training.networks.vgg import VggEncoder, load_imagenet
+from training.orchestration import campaign
+from training.recipes import RECIPES, summary
+from training.recipes.recipe import Recipe
+from training.reporting.plots import draw_training
+
+INTERRUPTED = 130
+HELP = "Train a recipe; goes on where it was stopped.\n\n\b\nRecipes:\n" + "\n".join(
+    f"  {name:30} {summary(name)}" for name in RECIPES
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command("train", help=HELP)(train)
+    app.command("plot-run")(plot_run)
+    app.command("auto-train")(auto_train)
+
+
+def train(
+    recipe: RecipeName,
+    init: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="MODEL",
+            help="exported model (models/NAME/VERSION) or a run's folder to start from; repeat it "
+            "for several, of which the first one's encoder wins",
+        ),
+    ] = None,
+    data: Data = None,
+    balls: Balls = None,
+    imagenet: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="VGG16 trained on ImageNet (torchvision's .pth or ONNX), for the paper's preset",
+        ),
+    ] = None,
+    sequences: Annotated[
+        int | None, typer.Option(min=1, help="training sequences instead of the recipe's")
+    ] = None,
+    scenes: Annotated[
+        int | None,
+        typer.Option(min=1, help="training scenes of each kind instead of the recipe's"),
+    ] = None,
+    validate_every: Annotated[
+        int, typer.Option(min=1, metavar="BATCHES")
+    ] = TrainerConfig.validate_every,
+    workers: Workers = CORES,
+    ray: Annotated[
+        str | None, ray_option("train in several processes that share every batch")
+    ] = None,
+    processes: Annotated[int, typer.Option(min=1, help="how many (with --ray)")] = 2,
+) -> None:
+    """Train a recipe. See HELP."""
+    folder = runs_folder() / recipe
+    initial = [one for start in init or () for one in initial_networks(start)]
+    config = TrainerConfig(validate_every, simulators=workers)
+    image_weights = imagenet and imagenet.resolve()
+    clips = footage.clips_of(recipe, data, balls)
+    chosen = within(recipe_of(recipe), sequences, scenes)
+    run = partial(run_training, chosen, folder, config, initial, image_weights, clips)
+    try:
+        error = run() if ray is None else with_ray().train_together(ray, processes, folder, run)
+    except TrainingStoppedError as stopped:
+        typer.echo(stopped, err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    typer.echo(f"best mean validation error: {error:.3f} px, kept in {folder}")
+
+
+def within(recipe: Recipe, sequences: int | None, scenes: int | None) -> Recipe:
+    """Return a recipe with another budget of sequences, or of scenes of each kind."""
+    if sequences is not None:
+        if sequences < recipe.batch_size:
+            failed(f"--sequences {sequences}: a batch of {recipe.name} has {recipe.batch_size}")
+        recipe = replace(recipe, sequences=sequences)
+    if scenes is not None:
+        data = tuple(replace(part, scenes=scenes) for part in recipe.data)
+        known = min(recipe.validation_scenes, scenes)
+        recipe = replace(recipe, data=data, validation_scenes=known)
+    return recipe
+
+
+def run_training(
+    recipe: Recipe,
+    folder: Path,
+    config: TrainerConfig,
+    initial: Sequence[Initial],
+    imagenet: Path | None,
+    clips: Mapping[Split, Clips] | None,
+) -> float:
+    """Train a recipe in this process; return its best validation error in px."""
+    trainer = Trainer(recipe, folder, config, initial, clips)
+    if imagenet is not None:
+        network = next(iter(trainer.family.networks().values()))
+        if not (isinstance(network, Predictor) and isinstance(network.encoder, VggEncoder)):
+            failed(f"--imagenet is for the paper's preset; {recipe.name} has another")
+        typer.echo(f"{load_imagenet(network.encoder, imagenet)} convolutions from ImageNet")
+    return trainer.run()
+
+
+def plot_run(
+    recipe: RecipeName,
+    picture: Annotated[Path, typer.Argument(help="PNG file to write")],
+) -> None:
+    """Draw the loss and the validation errors of a run."""
+    draw_training(runs_folder() / recipe, picture)
+
+
+def auto_train(
+    sequences: Annotated[int, typer.Option(min=1, help="training sequences of a round")] = 200_000,
+    scenes: TestScenes = 500,
+    workers: Workers = CORES,
+    ray: Annotated[
+        str | None, ray_option("train rounds that do not need each other side by side")
+    ] = None,
+) -> None:
+    """Train every family in rounds and export what got better, until nothing gains."""
+    folder = runs_folder() / "campaign"
+    one_round = partial(
+        campaign.train, models=MODELS.resolve(), config=TrainerConfig(simulators=workers)
+    )
+    while rounds := campaign.next_rounds(campaign.lines(), folder, MODELS, sequences):
+        if ray is None:
+            rounds = rounds[:1]
+        for chosen in rounds:
+            budget = chosen.recipe.sequences
+            typer.echo(f"{chosen.recipe.name}, round {chosen.number}: {budget} sequences")
+        try:
+            if ray is None:
+                outcomes = [one_round(chosen) for chosen in rounds]
+            else:
+                outcomes = with_ray().train_rounds(ray, folder, rounds, one_round)
+        except TrainingStoppedError as stopped:
+            typer.echo(stopped, err=True)
+            raise typer.Exit(INTERRUPTED) from None
+        for chosen, outcome in zip(rounds, outcomes, strict=True):
+            _finish(chosen, outcome, scenes, workers)
+    typer.echo("no family gains enough any more")
+
+
+def _finish(chosen: campaign.Round, outcome: campaign.Outcome, scenes: int, workers: int) -> None:
+    """Export what a round made better, and write down that it is done."""
+    before, now = outcome.error_before_px, outcome.error_px
+    typer.echo(f"{chosen.recipe.name}: {before} px before, {now} px now")
+    if outcome.gain > 0:
+        made = export_run(chosen.recipe, chosen.folder, MODELS, 1, scenes, workers)
+        complete(made, MODELS, workers)
+    campaign.finish(chosen, outcome)
