@@ -29,6 +29,11 @@ MAX_TABLE_STARTS = 100
 """The same on tables, where a start is acceptable unless balls overlap."""
 
 
+WEDGED = 1.1
+"""Ball radius from which no scene was found in 200 draws, relative to the radius of curvature at a
+bowl's bottom: the square of the axis ratio."""
+
+
 class Start(NamedTuple):
     """Where a ball begins, and how fast."""
 
@@ -83,6 +88,7 @@ def draw_scene(
         draw_start = _table_starts(fields, generator)
     else:
         fields |= _draw_bowl(scenario, generator) | chosen
+        _require_room(fields)
         draw_start = _bowl_starts(fields, objects, generator)
     redraws = MAX_TABLE_STARTS if scenario == "table" else MAX_STARTS
     starts: list[Start] = []
@@ -153,6 +159,19 @@ def _scene(fields: Mapping[str, Any]) -> Scene:
         # A rule over several fields begins with the name of the one that breaks it.
         name = str(first["loc"][0]) if first["loc"] else message.split()[0]
         raise SceneParametersError(name, fields.get(name), message) from error
+
+
+def _require_room(fields: Mapping[str, Any]) -> None:
+    """Refuse bowls that no ball of the radius rolls in: simulating them finds that out slowly."""
+    ratio, radius = fields["axis_ratio"], fields["radius_m"]
+    if radius > WEDGED * ratio**2:
+        least = math.sqrt(radius / WEDGED)
+        raise SceneParametersError(
+            "axis_ratio",
+            ratio,
+            f"at least {least:.3f} for a ball of radius {radius} m: in a narrower bowl it wedges "
+            "between the sides before it reaches the bottom",
+        )
 
 
 def _draw_bowl(scenario: Scenario, generator: np.random.Generator) -> dict[str, Any]:

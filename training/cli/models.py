@@ -24,6 +24,7 @@ from training.common.settings import runs_folder
 from training.data.shards import Source
 from training.evaluation.error_breakdown import dissected, dissection_table
 from training.evaluation.evaluate import evaluation_sets, markdown_table, metric_rows, run
+from training.evaluation.real_clips import table as real_clips_table
 from training.export.export import export_run, with_covariance
 from training.export.footage import export_setup
 from training.export.load import load_exported
@@ -40,9 +41,21 @@ def add_to(app: typer.Typer) -> None:
     """Add the commands."""
     app.command("evaluate")(evaluate)
     app.command("error-breakdown")(error_breakdown)
+    app.command("real-clips")(real_clips)
     app.command("export")(export)
     app.command("quantise")(quantise)
     app.command("fit-ood")(fit_ood)
+
+
+def real_clips(
+    model: Annotated[Path, typer.Argument(help="models/NAME/VERSION")],
+    clips: Annotated[Path, typer.Argument(help="folder of videos")],
+    tracks: Annotated[Path, typer.Argument(help="folder of setup.json and one table per clip")],
+) -> None:
+    """Measure how often a model finds the ball in real clips with tracks."""
+    _, network = load_exported(model)
+    for line in real_clips_table(network, clips, tracks):
+        typer.echo(line)
 
 
 def evaluate(

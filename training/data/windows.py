@@ -6,7 +6,7 @@ test take every scene once at its scenario's fixed start (paper, section 3.1, si
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, NotRequired, TypedDict
+from typing import Literal, NamedTuple, NotRequired, Protocol, TypedDict
 
 import numpy as np
 import torch
@@ -57,6 +57,17 @@ class SceneTargets(NamedTuple):
     """See :func:`training.networks.perception.measures_of`."""
 
 
+class Guidance(NamedTuple):
+    """What windows of many appearances have besides (:class:`training.data.looks.Looks`)."""
+
+    prompts: Float[np.ndarray, "objects 2"]
+    """Rough places of the balls that are meant, in the last seen frame; NaN without a prompt."""
+    shake: Float[np.ndarray, "seen 2"]
+    """Shift of the picture in every seen frame against the last one, pixels."""
+    radii: Float[np.ndarray, " objects"]
+    """Of the balls as they are seen, pixels."""
+
+
 class Window(NamedTuple):
     """One sequence: the seen frames and the truth of the steps t = 0..T-1 (128-px units, rad/s)."""
 
@@ -65,6 +76,7 @@ class Window(NamedTuple):
     positions: Float[np.ndarray, "objects steps 2"]
     angular_velocities: Float[np.ndarray, "objects steps 3"]
     scene_targets: SceneTargets | None = None
+    guidance: Guidance | None = None
 
 
 class Batch(TypedDict):
@@ -75,6 +87,8 @@ class Batch(TypedDict):
     angular_velocities: torch.Tensor
     scene_targets: NotRequired[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]
     """The fields of :class:`SceneTargets`."""
+    guidance: NotRequired[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]
+    """The fields of :class:`Guidance`."""
     practice: NotRequired["Batch"]
     """More windows without frames."""
     sight: NotRequired[Sight]
@@ -97,22 +111,31 @@ class Symmetry:
         Angular velocity is a pseudo-vector: a mirror in x keeps its x and flips its y and z.
         """
         frames = np.rot90(window.frames, self.quarter_turns, axes=(1, 2))
-        positions = window.positions - NETWORK_FRAME_SIZE / 2
         spin = window.angular_velocities
         for _ in range(self.quarter_turns):
             # Counter-clockwise as seen: world (x, y) -> (-y, x), so image (x, y) -> (y, -x).
-            positions = np.stack([positions[..., 1], -positions[..., 0]], axis=-1)
             spin = np.stack([-spin[..., 1], spin[..., 0], spin[..., 2]], axis=-1)
         if self.mirror:
             frames = frames[:, :, ::-1]
-            positions = positions * np.array([-1, 1])
             spin = spin * np.array([1, -1, -1])
+        middle = NETWORK_FRAME_SIZE / 2
+        positions = self._turned(window.positions - middle) + middle
         scene_targets = (
             None
             if window.scene_targets is None
             else self._apply_to_scene_targets(window.scene_targets)
         )
-        return Window(frames, positions + NETWORK_FRAME_SIZE / 2, spin, scene_targets)
+        guidance = window.guidance
+        if guidance is not None:
+            prompts = self._turned(guidance.prompts - middle) + middle
+            guidance = Guidance(prompts, self._turned(guidance.shake), guidance.radii)
+        return Window(frames, positions, spin, scene_targets, guidance)
+
+    def _turned(self, vectors: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
+        """Transform vectors in image axes."""
+        for _ in range(self.quarter_turns):
+            vectors = np.stack([vectors[..., 1], -vectors[..., 0]], axis=-1)
+        return vectors * np.array([-1, 1]) if self.mirror else vectors
 
     def _apply_to_scene_targets(self, scene_targets: SceneTargets) -> SceneTargets:
         centres, ground = (
@@ -168,16 +191,25 @@ class WindowMaker:
         )
 
     def _frames(self, index: int, start: int) -> UInt8[np.ndarray, "seen 128 128 3"]:
-        scene, trajectory = self._recordings[index].scene, self._recordings[index].trajectory
-        if index not in self._renderers:
-            camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
-            empty = None if self._scene_cache is None else self._scene_cache.empty[index]
-            self._renderers[index] = Renderer(scene, camera, empty)
-        frames = self._renderers[index].render(trajectory.window(start, OBSERVED_FRAMES))
+        trajectory = self._recordings[index].trajectory
+        frames = self.renderer(index).render(trajectory.window(start, OBSERVED_FRAMES))
         if self._final_step is None:
             return frames
         last = trajectory.window(start + FIRST_FORECAST_FRAME + self._final_step, 1)
-        return np.concatenate([frames, self._renderers[index].render(last)])
+        return np.concatenate([frames, self.renderer(index).render(last)])
+
+    def recording(self, index: int) -> Recording:
+        """Return a scene with its trajectory."""
+        return self._recordings[index]
+
+    def renderer(self, index: int) -> Renderer:
+        """Return what renders a scene."""
+        if index not in self._renderers:
+            scene = self._recordings[index].scene
+            camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
+            empty = None if self._scene_cache is None else self._scene_cache.empty[index]
+            self._renderers[index] = Renderer(scene, camera, empty)
+        return self._renderers[index]
 
     def _scene_targets(self, index: int, start: int, horizon: int) -> SceneTargets | None:
         if self._grounds is None:
@@ -189,6 +221,29 @@ class WindowMaker:
         return SceneTargets(centres, self._grounds[index], measures_of(half_width, scene.radius_m))
 
 
+class Look(NamedTuple):
+    """How one training window looks."""
+
+    kind: Literal["paper", "restyled", "planar"]
+    """The paper's look, another look of its scenes, or a planar scene instead of the scene."""
+    prompted: bool
+    seed: int
+
+
+class Mixture(Protocol):
+    """What training windows look like."""
+
+    def draw(self, generator: np.random.Generator) -> Look:
+        """Draw the look of a window."""
+        ...
+
+    def window(
+        self, look: Look, maker: WindowMaker, index: int, start: int, horizon: int
+    ) -> Window:
+        """Make the window, with guidance."""
+        ...
+
+
 class _Drawn(NamedTuple):
     """Which window is a row of a batch."""
 
@@ -196,6 +251,7 @@ class _Drawn(NamedTuple):
     scene: int
     start: int
     symmetry: Symmetry
+    look: Look | None
 
 
 class TrainingStream(IterableDataset[Batch]):
@@ -219,6 +275,8 @@ class TrainingStream(IterableDataset[Batch]):
         Whether they have scene targets.
     share
         The rows of every batch that are made.
+    mixture
+        What the windows look like; None for the paper's look alone.
     """
 
     def __init__(
@@ -236,6 +294,7 @@ class TrainingStream(IterableDataset[Batch]):
         seen: bool = True,
         scene_targets: bool = False,
         share: Share | None = None,
+        mixture: Mixture | None = None,
     ) -> None:
         if max(latest_starts) > LAST_START:
             raise ValueError(
@@ -254,6 +313,7 @@ class TrainingStream(IterableDataset[Batch]):
         self._seed = seed
         self._first_batch = first_batch
         self._share = share or Share()
+        self._mixture = mixture
 
     def __iter__(self) -> Iterator[Batch]:
         """Batches from ``first_batch`` on; several loader processes share them out in turn."""
@@ -283,11 +343,15 @@ class TrainingStream(IterableDataset[Batch]):
             scene=int(generator.integers(self._sizes[group])),
             start=int(generator.integers(self._latest_starts[group] + 1)),
             symmetry=Symmetry(int(generator.integers(4)), bool(generator.integers(2))),
+            look=None if self._mixture is None else self._mixture.draw(generator),
         )
 
     def _window(self, drawn: _Drawn, *, seen: bool) -> Window:
-        maker = self._makers[drawn.group]
-        window = maker.window(drawn.scene, drawn.start, MAX_HORIZON, seen=seen)
+        maker, place = self._makers[drawn.group], (drawn.scene, drawn.start, MAX_HORIZON)
+        if drawn.look is None or self._mixture is None:
+            window = maker.window(*place, seen=seen)
+        else:
+            window = self._mixture.window(drawn.look, maker, *place)
         return drawn.symmetry.apply(window)
 
 
@@ -313,6 +377,10 @@ def collate(windows: Sequence[Window]) -> Batch:
     if scene_targets:
         centres, grounds, scales = zip(*scene_targets, strict=True)
         batch["scene_targets"] = (_float32(centres), _float32(grounds), _float32(scales))
+    guided = [window.guidance for window in windows if window.guidance is not None]
+    if guided:
+        prompts, shakes, radii = zip(*guided, strict=True)
+        batch["guidance"] = (_float32(prompts), _float32(shakes), _float32(radii))
     return batch
 
 

@@ -5,7 +5,8 @@ import torch
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.common.precision import mixed_precision
 from training.data.windows import Batch
-from training.networks.fieldnet import FieldNet, true_state
+from training.networks.blocks import PIXEL_UNIT
+from training.networks.fieldnet import FieldFamily, FieldNet, true_state
 from training.networks.perception_state import SightedFamily
 from training.networks.recurrent import (
     EyedFamily,
@@ -47,8 +48,13 @@ class Objective:
             state = State(s.to(self.device), p.to(self.device))
             seen = Sight(state, None if finals is None else finals.to(self.device))
             return self._practised(seen, horizon)
+        frames = batch["frames"].to(self.device)
         with mixed_precision(self.device):
-            return _all_in_float32(self.family(batch["frames"].to(self.device), horizon))
+            if "guidance" not in batch:
+                return _all_in_float32(self.family(frames, horizon))
+            assert isinstance(self.family, FieldFamily)
+            prompts = (batch["guidance"][0].to(self.device) - PIXEL_UNIT) / PIXEL_UNIT
+            return _all_in_float32(self.family(frames, horizon, prompts))
 
     def _practised(self, sight: Sight, horizon: int) -> dict[str, Observation]:
         """Return every member's forecasts from what was read, or is true."""
@@ -81,9 +87,14 @@ class Objective:
         if explicit is None or explicit.reading is None:
             return 0.0
         scene_targets = self._scene_targets(batch)
+        shake = radii = None
+        if "guidance" in batch:
+            shake, radii = (part.to(self.device) / PIXEL_UNIT for part in batch["guidance"][1:])
         readings = {id(made.reading): made.reading for made in forecasts.values()}
         losses = [
-            explicit.reading(reading, scene_targets) for reading in readings.values() if reading
+            explicit.reading(reading, scene_targets, shake, radii)
+            for reading in readings.values()
+            if reading
         ]
         return sum(losses, start=0.0)
 

@@ -7,12 +7,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch.utils.data import DataLoader
 
 from training.common import distributed
 from training.data.clip_dataset import Clips, ClipStream
 from training.data.feature_cache import read_windows, replayed
+from training.data.looks import other_looks
 from training.data.scene_cache import load_scene_cache
 from training.data.shards import Source, load_recordings, simulate_split
 from training.data.splits import Split
@@ -165,6 +167,7 @@ class Trainer(TrainingLoop[Batch]):
                 seen=seen,
                 scene_targets=recipe.explicit is not None,
                 share=share or distributed.share(),
+                mixture=recipe.looks,
             )
         loader = DataLoader(
             stream,
@@ -206,8 +209,10 @@ class Trainer(TrainingLoop[Batch]):
         for source, windows in self._validation_windows.items():
             for name, forecasts in forecast(averaged, windows, horizon, self.device).items():
                 by_step = forecasts.errors_px().mean(axis=(0, 1))
-                errors.append(float(by_step[compared - 1]))
-                for step in sorted({1, horizon // 2, horizon}):
+                # Of planar scenes only the seen places are known.
+                known = by_step[np.isfinite(by_step)]
+                errors.append(float(known[min(compared, len(known)) - 1]))
+                for step in sorted({1, horizon // 2, horizon} & set(range(1, len(known) + 1))):
                     scalars[f"{name}/{source}/T={step}"] = by_step[step - 1]
         error = sum(errors) / len(errors)
         return error, scalars | {f"validation/T={compared}": error}
@@ -238,16 +243,18 @@ def _give_way(worker: int) -> None:  # noqa: ARG001 - the loader passes its numb
 def validation_windows(recipe: Recipe, simulators: int) -> dict[str, list[Window]]:
     """Windows of the validation split, for every scenario at the usual radius."""
     sources = [Source(scenario, recipe.task.objects) for scenario in recipe.scenarios]
-    return {
-        source.name: fixed_windows(
-            load_recordings(
-                simulate_split(source, "validation", recipe.validation_scenes, simulators)
-            ),
-            recipe.trained_horizon,
-            recipe.task.final_step,
+    recordings = {
+        source.name: load_recordings(
+            simulate_split(source, "validation", recipe.validation_scenes, simulators)
         )
         for source in sources
     }
+    horizon = recipe.trained_horizon
+    windows = {
+        name: fixed_windows(of_source, horizon, recipe.task.final_step)
+        for name, of_source in recordings.items()
+    }
+    return windows if recipe.looks is None else windows | other_looks(recordings, horizon)
 
 
 def shared_factor(progress: float, heads_alone: float) -> float:

@@ -7,6 +7,8 @@ import torch
 
 from training.networks.recurrent import Network
 
+CLOSER, ZOOMED = "eye.closer.", "eye.zoomed.look."
+
 OF_EVERY_BALL = ("encoder.", "eye.first.where.")
 """Parameters whose outputs there are of every ball."""
 
@@ -34,7 +36,7 @@ def load_fitting(network: Network, initial: dict[str, torch.Tensor]) -> list[str
     """
     own = network.state_dict()
     fitting = {
-        name: widened for name, value in placed(network, initial).items()
+        name: widened for name, value in _with_zoom(placed(network, initial), own).items()
         if name in own and (widened := _widened(name, value, own[name].shape)) is not None
     }  # fmt: skip
     if not fitting:
@@ -47,6 +49,20 @@ def placed(network: Network, parameters: dict[str, torch.Tensor]) -> dict[str, t
     """Parameters by the names in a network: an eye may sit in its encoder."""
     own = network.state_dict()
     return {n if n in own else f"encoder.{n}": value for n, value in parameters.items()}
+
+
+def _with_zoom(
+    parameters: dict[str, torch.Tensor], own: dict[str, torch.Tensor]
+) -> dict[str, torch.Tensor]:
+    """Begin a zoomed look as the closer one, without corrections, where there was none."""
+    if any(ZOOMED in name for name in parameters):
+        return parameters
+    added = {
+        name.replace(CLOSER, ZOOMED): torch.zeros_like(value) if ".correction." in name else value
+        for name, value in parameters.items()
+        if CLOSER in name and name.replace(CLOSER, ZOOMED) in own
+    }
+    return parameters | added
 
 
 def _widened(name: str, value: torch.Tensor, shape: torch.Size) -> torch.Tensor | None:

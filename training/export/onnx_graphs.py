@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 STATE_NAMES = State._fields
-READ_NAMES = Reading._fields[1:]
+READ_NAMES = Reading._fields[1:-1]
 """What an encoder reads; where a final frame is seen, the places there too."""
 _OWN_PREFIX = "network."
 
@@ -50,7 +50,7 @@ class EyeGraph(torch.nn.Module):
 
     def forward(self, frames: Tensor) -> tuple[Tensor, ...]:
         """Frames to the places in the last of them and READ_NAMES, as positional tensors."""
-        (positions, *read) = self.eye(frames)
+        positions, *read, _ = self.eye(frames)
         return positions[-1][:, :, -1], *read
 
 
@@ -118,7 +118,7 @@ def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
         seen, read_names = (frames[:, :OBSERVED_FRAMES],), [PLACES, *READ_NAMES]
         _write_graph(eye, seen, [FRAMES_INPUT], read_names, folder / EYE_FILE)
         with torch.inference_mode():
-            (_, *read), finals = looked(eye.eye, frames)
+            (_, *read, _), finals = looked(eye.eye, frames)
         names = list(READ_NAMES)
         if finals is not None:
             names.append(FINALS)

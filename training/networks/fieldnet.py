@@ -14,6 +14,7 @@ from training.networks.perception import (
     FEATURES,
     Eye,
     EyedNetwork,
+    ZoomedLook,
     looked,
     of_each,
     radius_of,
@@ -253,11 +254,11 @@ class FieldNet(EyedNetwork):
     not observed: footage does not tell them.
     """
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Task, zoomed: ZoomedLook | None = None) -> None:
         super().__init__()
         self.final_step = task.final_step
         self.tells_spin = task.angular_velocity
-        self.eye = Eye(task.objects)
+        self.eye = Eye(task.objects, zoomed)
         self.rolling = Rolling(Encounters() if task.meetings else None)
         self.bend = None if task.final_step is None else Bend()
         self.first_doubt = nn.Linear(FEATURES, 3)
@@ -272,8 +273,10 @@ class FieldNet(EyedNetwork):
         """h_0 from the seen frames."""
         return self._look(frames_BKHW3)[0]
 
-    def _look(self, frames_BKHW3: Tensor) -> tuple[State, Reading]:
-        reading, finals = looked(self.eye, frames_BKHW3)
+    def _look(
+        self, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None
+    ) -> tuple[State, Reading]:
+        reading, finals = looked(self.eye, frames_BKHW3, prompts_BN2)
         return self.begin(reading, finals), reading
 
     def begin(self, reading: Reading, finals_BN2: Tensor | None) -> State:
@@ -318,9 +321,17 @@ class FieldNet(EyedNetwork):
         seen, (_, course) = self.observe(state), unpacked(state.p)
         return seen if course is None else seen._replace(final_positions=pixels(course.final))
 
-    def forward(self, frames_BKHW3: Tensor, horizon: int) -> Observation:
-        """Observations of the steps 0..horizon-1, and what the eye read, for its own loss."""
-        state, reading = self._look(frames_BKHW3)
+    def forward(
+        self, frames_BKHW3: Tensor, horizon: int, prompts_BN2: Tensor | None = None
+    ) -> Observation:
+        """Observations of the steps 0..horizon-1, and what the eye read, for its own loss.
+
+        Parameters
+        ----------
+        prompts_BN2
+            See :meth:`training.networks.perception.Eye.forward`.
+        """
+        state, reading = self._look(frames_BKHW3, prompts_BN2)
         with full_precision(state.s.device):
             return self.roll_out(state, horizon)._replace(reading=reading)
 
@@ -365,6 +376,15 @@ def true_state(
 class FieldFamily(EyedFamily):
     """Networks with an explicit state; a network of several has an eye of its own."""
 
+    def forward(
+        self, frames_BKHW3: Tensor, horizon: int, prompts_BN2: Tensor | None = None
+    ) -> dict[str, Observation]:
+        """Observations of the steps 0..horizon-1 of every member."""
+        return {
+            name: network(frames_BKHW3, horizon, prompts_BN2)
+            for name, network in self.networks().items()
+        }
+
     def sight(self, frames_BKHW3: Tensor) -> Sight:
         """Return what the eye of the only network reads of the frames."""
         (network,) = self.networks().values()
@@ -387,8 +407,18 @@ def field_family(variants: Mapping[str, str], task: Task) -> Family:
     ValueError
         For another variant, or without angular velocities.
     """
+    _require_fieldnet(variants)
+    return FieldFamily({name: FieldNet(task) for name in variants})
+
+
+def zoomed_family(variants: Mapping[str, str], task: Task) -> Family:
+    """Make networks of the zoomed preset: the eye of the field preset looks once more."""
+    _require_fieldnet(variants)
+    return FieldFamily({name: FieldNet(task, ZoomedLook()) for name in variants})
+
+
+def _require_fieldnet(variants: Mapping[str, str]) -> None:
     if set(variants.values()) != {"fieldnet"}:
         raise ValueError(
-            f"the field preset makes fieldnet alone, not {', '.join(variants.values())}"
+            f"the field presets make fieldnet alone, not {', '.join(variants.values())}"
         )
-    return FieldFamily({name: FieldNet(task) for name in variants})

@@ -2,7 +2,8 @@
 
 A first look at the whole frames maps the ground and says roughly where the balls are; closer looks
 at patches around them, all seen frames side by side, give positions to fractions of a pixel and
-show how the texture turns.
+show how the texture turns. An eye with a zoomed look measures each ball's radius as well and looks
+once more, at a patch that the ball just fills.
 
 Lengths are halves of the frame in image axes (x right, y down, z towards the camera), times are
 frames. Shape suffixes as in ``blocks.py``.
@@ -30,6 +31,12 @@ PATCH = 32
 
 PATCH_HALF_WIDTH = 20 / PIXEL_UNIT
 """40 pixels: the largest ball of any scenario, and some ground around it."""
+
+ZOOM_MARGIN = 4 / PIXEL_UNIT
+"""Ground around the ball in a zoomed look: 4 pixels, of which motion blur may take some."""
+
+USUAL_RADIUS, SMALLEST_SEEN, LARGEST_SEEN = 8 / PIXEL_UNIT, 1 / PIXEL_UNIT, 40 / PIXEL_UNIT
+"""Radius that an untaught zoomed look assumes, and the limits of what it can say."""
 
 STEEPEST = 0.3
 """Least upright part of a normal that is divided by."""
@@ -157,7 +164,8 @@ class CloserLook(nn.Module):
     Parameters
     ----------
     features
-        Numbers that say what else the patches show: how the ball turns, where it is hidden.
+        Numbers that say what else the patches show: how the ball turns, where it is hidden. There
+        may be none.
     """
 
     grid: Tensor
@@ -179,18 +187,30 @@ class CloserLook(nn.Module):
             nn.ReLU(),
         )
         self.correction = nn.Linear(256, 2 * OBSERVED_FRAMES)
-        self.features = nn.Linear(256, features)
+        self.features = nn.Linear(256, features) if features else None
         nn.init.zeros_(self.correction.weight)
         nn.init.zeros_(self.correction.bias)
         grid = PATCH_HALF_WIDTH * cell_centres(PATCH).permute(1, 2, 0)
         self.register_buffer("grid", grid, persistent=False)
 
-    def forward(self, images_BK3HW: Tensor, around_BNK2: Tensor) -> tuple[Tensor, Tensor]:
-        """Corrected positions [B, N, K, 2] and features [B, N, features]."""
+    def forward(
+        self, images_BK3HW: Tensor, around_BNK2: Tensor, zoom_BN: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Corrected positions [B, N, K, 2] and features [B, N, features].
+
+        Parameters
+        ----------
+        zoom_BN
+            Half-width of every ball's patch relative to the usual one; corrections scale with it.
+        """
         batch, objects, frames = around_BNK2.shape[:3]
         # The correction is what learns, not the way to a better patch.
         centres = around_BNK2.detach()
-        grid = self.grid + centres.transpose(1, 2).flatten(0, 1)[:, :, None, None]
+        grid = self.grid
+        if zoom_BN is not None:
+            zooms = zoom_BN[:, None].expand(-1, frames, -1).flatten(0, 1)
+            grid = zooms[..., None, None, None] * grid
+        grid = grid + centres.transpose(1, 2).flatten(0, 1)[:, :, None, None]
         # Balls lie below one another: one sampling a frame serves all of them.
         patches = functional.grid_sample(
             images_BK3HW.flatten(0, 1), grid.flatten(1, 2),
@@ -200,7 +220,33 @@ class CloserLook(nn.Module):
         stacked = patches.permute(0, 3, 1, 2, 4, 5).reshape(-1, 3 * frames, PATCH, PATCH)
         seen = self.layers(stacked.contiguous(memory_format=torch.channels_last))
         correction = self.correction(seen).float().reshape(batch, objects, frames, 2)
-        return centres + correction, self.features(seen).float().reshape(batch, objects, -1)
+        if zoom_BN is not None:
+            correction = correction * zoom_BN[..., None, None]
+        corrected = centres + correction
+        if self.features is None:
+            return corrected, correction.new_zeros(batch, objects, 0)
+        return corrected, self.features(seen).float().reshape(batch, objects, -1)
+
+
+class ZoomedLook(nn.Module):
+    """A last look at a patch that the ball just fills, whatever its size."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.size = nn.Linear(FEATURES, 1)
+        nn.init.zeros_(self.size.weight)
+        nn.init.zeros_(self.size.bias)
+        self.look = CloserLook(0)
+
+    def forward(
+        self, images_BK3HW: Tensor, around_BNK2: Tensor, features_BNF: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Corrected positions [B, N, K, 2] and radii [B, N], halves of the frame."""
+        radii = USUAL_RADIUS * of_each(self.size, features_BNF)[..., 0].exp()
+        radii = radii.clamp(SMALLEST_SEEN, LARGEST_SEEN)
+        zoom = (radii.detach() + ZOOM_MARGIN) / PATCH_HALF_WIDTH
+        positions, _ = self.look(images_BK3HW, around_BNK2, zoom)
+        return positions, radii
 
 
 class Eye(nn.Module):
@@ -208,9 +254,14 @@ class Eye(nn.Module):
 
     The closer look is the same network twice: the second time its patches are centred already.
     Rise and spin are read as what differs from rolling along the ground without slipping.
+
+    Parameters
+    ----------
+    zoomed
+        The last look, where there is one.
     """
 
-    def __init__(self, objects: int) -> None:
+    def __init__(self, objects: int, zoomed: ZoomedLook | None = None) -> None:
         super().__init__()
         self.first = FirstLook(objects)
         self.closer = CloserLook(FEATURES)
@@ -218,10 +269,19 @@ class Eye(nn.Module):
         self.state = nn.Sequential(
             nn.Linear(seen, 192), nn.SiLU(), nn.Linear(192, 192), nn.SiLU(), nn.Linear(192, 9)
         )
+        self.zoomed = zoomed
 
-    def forward(self, frames_BKHW3: Tensor) -> Reading:
-        """Look at the observed frames uint8 [B, 4, 128, 128, 3]."""
-        (rough, near, exact), features, ground, measures = self._look(frames_BKHW3)
+    def forward(self, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None) -> Reading:
+        """Look at the observed frames uint8 [B, 4, 128, 128, 3].
+
+        Parameters
+        ----------
+        prompts_BN2
+            Rough places, in the last frame, of the balls that are meant, halves of the frame; NaN
+            where the first look finds the ball by itself.
+        """
+        looks, features, ground, measures, radii = self._look(frames_BKHW3, prompts_BN2)
+        exact = looks[-1]
         with full_precision(exact.device):
             last = exact[:, :, -1]
             shifts = exact[:, :, 1:] - exact[:, :, :-1]
@@ -238,8 +298,7 @@ class Eye(nn.Module):
             flat = 0.03 * said[..., 3:5]
             velocities = moving + torch.cat([flat, 0.1 * said[..., 5:6]], dim=-1)
             spins = rolling + said[..., 6:]
-        positions = (rough, near, exact)
-        return Reading(positions, ground, measures, centres, velocities, spins, features)
+        return Reading(looks, ground, measures, centres, velocities, spins, features, radii)
 
     def at_rest(self, frame_BHW3: Tensor) -> Tensor:
         """Positions [B, N, 2] in a single frame, seen as four of balls that stay put.
@@ -250,14 +309,20 @@ class Eye(nn.Module):
         return looks[-1][:, :, -1]
 
     def _look(
-        self, frames_BKHW3: Tensor
-    ) -> tuple[tuple[Tensor, Tensor, Tensor], Tensor, Tensor, Tensor]:
-        """Positions by look, features of the closest, ground and measures."""
+        self, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None
+    ) -> tuple[tuple[Tensor, ...], Tensor, Tensor, Tensor, Tensor | None]:
+        """Positions by look, features of the closer ones, ground, measures, radii if zoomed."""
         rough, ground, measures = self.first(frames_BKHW3)
+        if prompts_BN2 is not None:
+            prompts = prompts_BN2[:, :, None].expand_as(rough)
+            rough = torch.where(prompts.isnan(), rough, prompts)
         images = frames_BKHW3.permute(0, 1, 4, 2, 3).float() / 127.5 - 1
         near, _ = self.closer(images, rough)
         exact, features = self.closer(images, near)
-        return (rough, near, exact), features, ground, measures
+        if self.zoomed is None:
+            return (rough, near, exact), features, ground, measures, None
+        zoomed, radii = self.zoomed(images, exact, features)
+        return (rough, near, exact, zoomed), features, ground, measures, radii
 
 
 class EyedNetwork(Network):
@@ -268,9 +333,11 @@ class EyedNetwork(Network):
         """h_0 from a reading and, where a final frame is seen, the positions there."""
 
 
-def looked(eye: Eye, frames_BKHW3: Tensor) -> tuple[Reading, Tensor | None]:
+def looked(
+    eye: Eye, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None
+) -> tuple[Reading, Tensor | None]:
     """Read the observed frames, and positions [B, N, 2] in a final one where there is one."""
-    reading: Reading = eye(frames_BKHW3[:, :OBSERVED_FRAMES])
+    reading: Reading = eye(frames_BKHW3[:, :OBSERVED_FRAMES], prompts_BN2)
     if frames_BKHW3.shape[1] == OBSERVED_FRAMES:
         return reading, None
     return reading, eye.at_rest(frames_BKHW3[:, OBSERVED_FRAMES])

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from training.networks.compact import compact_family
-from training.networks.fieldnet import field_family
+from training.networks.fieldnet import field_family, zoomed_family
 from training.networks.perception_state import sighted_family
 from training.networks.recurrent import Family
 from training.networks.task import Task
@@ -29,5 +29,6 @@ PRESETS: Mapping[str, Preset] = {
     "compact": compact_family,
     "paper": paper_family,
     "field": field_family,
+    "zoomed": zoomed_family,
     "sighted": sighted_family,
 }

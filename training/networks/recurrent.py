@@ -44,7 +44,7 @@ class Reading(NamedTuple):
     """
 
     seen_positions: tuple[Tensor, ...]
-    """[B, N, K, 2] in the seen frames: the first look, then closer ones."""
+    """[B, N, K, 2] in the seen frames: the first look, closer ones, and a zoomed one."""
     ground: Tensor
     """[B, 3, G, G]: where a ball's centre can rest, see ``training.data.rest_height_map``."""
     measures: Tensor
@@ -56,7 +56,9 @@ class Reading(NamedTuple):
     spins: Tensor
     """[B, N, 3] at t = 0, world axes."""
     features: Tensor
-    """[B, N, features]: what else the closest look shows."""
+    """[B, N, features]: what else the closer look shows."""
+    radii: Tensor | None = None
+    """[B, N]: of the balls in the picture, where the eye has a zoomed look."""
 
 
 class Observation(NamedTuple):

@@ -1,7 +1,7 @@
 """Losses over a rollout; the paper's and what the compact preset uses instead.
 
 The loss of a network is that of its positions plus that of its angular velocities (paper, section
-5.1).
+5.1). What is NaN in the truth is not known, and costs nothing.
 """
 
 import math
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.networks.blocks import PIXEL_UNIT
-from training.networks.perception import sampled
+from training.networks.perception import PATCH_HALF_WIDTH, ZOOM_MARGIN, sampled
 from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Observation, Reading
 
 
@@ -50,7 +50,7 @@ class DistanceLoss:
     def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
         """Loss of a forecast in pixels."""
         weights = step_weights(positions_BNT2.shape[2], self._halving)
-        error = smooth_distance(forecast.positions - positions_BNT2, self._rounding)
+        error = smooth_distance(_unlike(forecast.positions, positions_BNT2), self._rounding)
         return (weights.to(error.device) * error).mean()
 
 
@@ -79,13 +79,15 @@ class LikelihoodLoss:
         """Loss of a forecast, which has covariances, in nats up to a constant."""
         assert forecast.covariances is not None
         weights = step_weights(positions_BNT2.shape[2], self._halving)
-        squared = mahalanobis(forecast.positions, forecast.covariances, positions_BNT2)
+        known = ~positions_BNT2.isnan().any(dim=-1)
+        truth = torch.where(positions_BNT2.isnan(), forecast.positions.detach(), positions_BNT2)
+        squared = mahalanobis(forecast.positions, forecast.covariances, truth)
         limit = self._outlier
         linear = 2 * limit * squared.clamp(min=limit**2).sqrt() - limit**2
         bounded = torch.where(squared < limit**2, squared, linear)
         nll = 0.5 * (bounded + determinant(forecast.covariances).log())
         penalty = self._regulariser * determinant(forecast.covariances)
-        return (weights.to(nll.device) * (nll + penalty)).mean()
+        return (weights.to(nll.device) * known * (nll + penalty)).mean()
 
 
 class SpinLoss:
@@ -124,8 +126,9 @@ class SpinLoss:
         if self._squared:
             error = (forecast.angular_velocities - truth).square().sum(-1)
             return self._weight * (weights * error).mean()
-        scale = 1 + truth.norm(dim=-1) / ANGULAR_VELOCITY_UNIT
-        error = smooth_distance(forecast.angular_velocities - truth, self._rounding) / scale
+        scale = 1 + truth.nan_to_num().norm(dim=-1) / ANGULAR_VELOCITY_UNIT
+        off = _unlike(forecast.angular_velocities, truth)
+        error = smooth_distance(off, self._rounding) / scale
         return self._weight * (weights * error).mean()
 
 
@@ -152,9 +155,20 @@ class ReadingLoss:
 
     Closer looks weigh more than the first, velocities most: their errors grow with every step. What
     is NaN in the truth is not known, and costs nothing: of footage there are only places.
+
+    Parameters
+    ----------
+    within_reach
+        Whether a closer look is judged only where the look before it left the ball in its patch:
+        what it says of patches without a ball is noise.
     """
 
-    looks = (0.3, 0.5, 1.5)
+    looks = (0.3, 0.5, 1.5, 1.5)
+    """The first look's, the closer looks' and, where there is one, the zoomed look's."""
+    displacement = 1.5
+    """Of what lies between two seen frames, by the last look: errors that all frames share do not
+    matter to it."""
+    radius = 2.0
     height = 0.5
     velocity = 3.0
     ground = 15.0
@@ -162,16 +176,46 @@ class ReadingLoss:
     measures = 2.0
     rounding = 0.1
 
-    def __call__(self, reading: Reading, scene_targets: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-        """Loss of a reading against the fields of :class:`training.data.windows.SceneTargets`."""
+    def __init__(self, *, within_reach: bool = False) -> None:
+        self._within_reach = within_reach
+
+    def __call__(
+        self,
+        reading: Reading,
+        scene_targets: tuple[Tensor, Tensor, Tensor],
+        shake_BK2: Tensor | None = None,
+        radii_BN: Tensor | None = None,
+    ) -> Tensor:
+        """Loss of a reading against the fields of :class:`training.data.windows.SceneTargets`.
+
+        Parameters
+        ----------
+        shake_BK2
+            Shift of the picture in the seen frames, halves of the frame: it moves what is seen, not
+            the ball.
+        radii_BN
+            Of the balls in the picture, halves of the frame.
+        """
         centres, ground, measures = scene_targets
         seen, now = centres[:, :, :OBSERVED_FRAMES, :2], centres[:, :, OBSERVED_FRAMES - 1]
+        if shake_BK2 is not None:
+            seen = seen + shake_BK2[:, None]
         before = centres[:, :, OBSERVED_FRAMES - 2]
+        judged = self._judged(reading, seen)
+        found = judged[-1].amin(dim=2)
         off = _unlike(reading.centres, now)
-        loss = self._pixels(off[..., :2]) + self.height * PIXEL_UNIT * off[..., 2].abs().mean()
-        for weight, positions in zip(self.looks, reading.seen_positions, strict=True):
-            loss = loss + weight * self._pixels(positions - seen)
-        loss = loss + self.velocity * self._pixels(_unlike(reading.velocities, now - before))
+        loss = self._pixels(off[..., :2], found)
+        loss = loss + self.height * PIXEL_UNIT * (found * off[..., 2].abs()).mean()
+        looks = zip(self.looks, reading.seen_positions, judged, strict=False)
+        for weight, positions, share in looks:
+            loss = loss + weight * self._pixels(positions - seen, share)
+        moved = reading.seen_positions[-1].diff(dim=2) - seen.diff(dim=2)
+        loss = loss + self.displacement * self._pixels(moved, found[..., None])
+        if reading.radii is not None and radii_BN is not None:
+            unlike = _unlike(reading.radii.log(), radii_BN.log())
+            loss = loss + self.radius * (found * unlike.abs()).mean()
+        off = _unlike(reading.velocities, now - before)
+        loss = loss + self.velocity * self._pixels(off, found)
         unlike = _unlike(reading.ground, ground).abs()
         loss = loss + self.ground * unlike.sum(dim=1).mean()
         loss = loss + self.way * self._along_the_way(reading.ground, ground, centres)
@@ -180,12 +224,27 @@ class ReadingLoss:
     def _along_the_way(self, read: Tensor, ground: Tensor, centres: Tensor) -> Tensor:
         """Mean error of the ground where the balls will be: more than elsewhere depends on it."""
         known = (~ground.isnan()).float()
-        points = centres[..., :2]
+        points = centres[..., :2].nan_to_num()
         unlike = sampled(read, points) - sampled(ground.nan_to_num(), points)
         return (unlike.abs() * (sampled(known, points) > 0.999)).sum(dim=-1).mean()
 
-    def _pixels(self, difference: Tensor) -> Tensor:
-        return smooth_distance(PIXEL_UNIT * difference, self.rounding).mean()
+    def _judged(self, reading: Reading, seen: Tensor) -> list[Tensor]:
+        """Return, for every look, where it is judged: 1 or 0 [B, N, K]."""
+        looks = [positions.detach() for positions in reading.seen_positions]
+        everywhere = torch.ones_like(looks[0][..., 0])
+        if not self._within_reach:
+            return [everywhere] * len(looks)
+        off = [(positions - seen).abs().amax(dim=-1) for positions in looks]
+        judged = [everywhere, *((before < PATCH_HALF_WIDTH).float() for before in off[:2])]
+        if len(looks) > len(judged):
+            assert reading.radii is not None
+            reach = reading.radii.detach()[..., None] + ZOOM_MARGIN
+            judged.append(judged[-1] * (off[2] < reach))
+        return judged
+
+    def _pixels(self, difference: Tensor, share: Tensor | None = None) -> Tensor:
+        distance = smooth_distance(PIXEL_UNIT * difference, self.rounding)
+        return (distance if share is None else share * distance).mean()
 
 
 class MotionLoss:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from rollcast.scene import MAX_FORECAST_OBJECTS
+from training.recipes.appearance import field_one_ball_appearance
 from training.recipes.compact import (
     one_ball,
     one_ball_between,
@@ -44,6 +45,7 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "field-one-ball-seeing": field_one_ball_seeing,
     "field-one-ball-rolling": field_one_ball_rolling,
     "field-one-ball-doubt": field_one_ball_doubt,
+    "field-one-ball-appearance": field_one_ball_appearance,
     "field-2-balls": partial(field_several_balls, 2),
     "field-3-balls": partial(field_several_balls, 3),
     "field-one-ball-between": field_one_ball_between,

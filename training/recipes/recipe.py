@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from rollcast.scene import Scenario
+from training.data.looks import Looks
 from training.data.shards import Source
 from training.networks.presets import PRESETS
 from training.networks.recurrent import Family
@@ -135,6 +136,12 @@ class Recipe:
     explicit: Explicit | None = None
     """For networks with an explicit state."""
 
+    earlier_horizon: int = 0
+    """Steps of the longest rollouts that trained what is ``frozen``."""
+
+    looks: Looks | None = None
+    """What training windows look like; None for the paper's look alone."""
+
     def build(self) -> Family:
         """Make the untrained networks."""
         variants = {member.name: member.variant for member in self.members}
@@ -188,7 +195,7 @@ def longest_rollout(recipe: Recipe, progress: float) -> int:
     From frames or, where there is practice, from true states. This, not what the recipe is on its
     way to, is the trained horizon of weights that are kept before the end.
     """
-    horizon = horizon_at(recipe.curriculum, progress)
+    horizon = max(horizon_at(recipe.curriculum, progress), recipe.earlier_horizon)
     if recipe.explicit is None:
         return horizon
     return max(horizon, horizon_at(recipe.explicit.curriculum, progress))

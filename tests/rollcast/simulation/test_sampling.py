@@ -226,3 +226,9 @@ def test_parameters_that_do_not_fit_are_refused_by_name(fixed, field, expected):
     with pytest.raises(SceneParametersError, match=expected) as refusal:
         draw("hemisphere", 1, 3, fixed)
     assert refusal.value.field == field
+
+
+def test_a_bowl_that_the_ball_would_wedge_in_is_refused_with_the_reason():
+    with pytest.raises(SceneParametersError, match=r"at least 0\.452 for a ball of radius"):
+        draw("ellipsoid", 1, 3, {"axis_ratio": 0.4})
+    assert draw("ellipsoid", 1, 3, {"axis_ratio": 0.4, "radius_m": 0.15}).axis_ratio == 0.4

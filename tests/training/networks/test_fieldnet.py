@@ -330,3 +330,18 @@ def test_a_third_ball_is_looked_for_as_the_first_is():
     own, known = three.state_dict(), two.state_dict()
     where = "eye.first.where.weight"
     torch.testing.assert_close(own[where], torch.cat([known[where], known[where][:12]]))
+
+
+def test_a_closer_look_is_judged_where_it_can_see_the_ball():
+    seen = torch.zeros(1, 1, 4, 2)
+    unused, ground = torch.zeros(1, 1, 3), torch.zeros(1, 3, 32, 32)
+    truth = (torch.zeros(1, 1, 9, 3), ground, torch.zeros(1, 2))
+    costs = {}
+    for lost, place in ((False, 0.2), (True, 0.8)):
+        looks = (seen + place, (seen + place + 0.1).requires_grad_(), seen + place)
+        centres = torch.zeros(1, 1, 3) + place
+        reading = Reading(looks, ground, torch.zeros(1, 2), centres, unused, unused, unused)
+        ReadingLoss(within_reach=True)(reading, truth).backward()
+        costs[lost] = float(looks[1].grad.abs().sum())
+    assert costs[False] > 0
+    assert costs[True] == 0

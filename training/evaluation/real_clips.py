@@ -1,0 +1,184 @@
+"""Measures how well an eye finds balls in real clips whose balls have been tracked by hand.
+
+    python -m training real-clips models/fieldnet/3 CLIPS TRACKS
+
+Such clips are for evaluation: nothing trains on them. CLIPS is a folder of videos. TRACKS has a
+``setup.json`` with a crop, the balls that are meant and the frames to use of every clip, and a
+table ``NAME.csv`` of each: clip, frame, time, ball, x, y, radius, in pixels of the video.
+"""
+
+import csv
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+
+from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.trajectory import OBSERVED_FRAMES
+from rollcast.video import every_frame
+from training.networks.blocks import PIXEL_UNIT
+from training.networks.perception import Eye
+from training.networks.recurrent import Network, Reading
+
+EVERY = 2
+"""Frames between the beginnings of windows."""
+
+MOVES_PX = 0.5
+"""Least way of the ball over a window that counts."""
+
+MOST_WINDOWS = 80
+"""Of a clip; they are spread evenly."""
+
+FOUND_PX = 2.0
+"""A ball is found within its radius, or within this where the radius is smaller."""
+
+PROMPT_ERROR_PX = 1.5
+"""Standard deviation of a prompt along each axis."""
+
+
+class ClipWindow(NamedTuple):
+    """Four frames of a clip with the places of one ball in them, pixels of 128."""
+
+    frames: UInt8[np.ndarray, "4 128 128 3"]
+    path: Float[np.ndarray, "4 2"]
+    radius: float
+
+
+@dataclass(frozen=True)
+class Found:
+    """What an eye says of a clip's windows, pixels of 128."""
+
+    position_errors: Float[np.ndarray, " windows"]
+    """At t = 0."""
+    displacement_errors: Float[np.ndarray, " windows"]
+    """Of the last displacement."""
+    found: Bool[np.ndarray, " windows"]
+
+
+def clip_windows(
+    clips: Path, tracks: Path, name: str, setup: Mapping[str, Any]
+) -> list[ClipWindow]:
+    """Cut a clip's windows out of its video."""
+    kept = _kept_frames(tracks, setup)
+    paths, radii = _paths(tracks / f"{setup.get('tracks', name)}.csv", setup["crop"], kept)
+    places: list[tuple[int, str]] = []
+    for first, last in setup.get("ranges") or [[0, max(map(max, paths.values()))]]:
+        for start in range(first, last - OBSERVED_FRAMES + 2, EVERY):
+            places += [(start, ball) for ball in setup["targets"] if _moves(paths[ball], start)]
+    if len(places) > MOST_WINDOWS:
+        chosen = np.linspace(0, len(places) - 1, MOST_WINDOWS).astype(int)
+        places = [places[k] for k in chosen]
+    wanted = {start + k for start, _ in places for k in range(OBSERVED_FRAMES)}
+    pictures = dict(_pictures(clips / setup["file"], setup["crop"], kept, wanted))
+    return [
+        ClipWindow(
+            np.stack([pictures[start + k] for k in range(OBSERVED_FRAMES)]),
+            np.array([paths[ball][start + k] for k in range(OBSERVED_FRAMES)]),
+            radii[ball],
+        )
+        for start, ball in places
+    ]
+
+
+def _kept_frames(tracks: Path, setup: Mapping[str, Any]) -> dict[int, int] | None:
+    """Return the new number of every frame of the video that is no repeat; None for all of them."""
+    if not setup.get("keep"):
+        return None
+    frames = json.loads((tracks / setup["keep"]).read_text(encoding="utf-8"))
+    return {frame: number for number, frame in enumerate(frames)}
+
+
+def _paths(
+    table: Path, crop: tuple[int, int, int], kept: dict[int, int] | None
+) -> tuple[dict[str, dict[int, tuple[float, float]]], dict[str, float]]:
+    """Places of every ball by frame, and its median radius, pixels of 128."""
+    left, top, side = crop
+    scale = NETWORK_FRAME_SIZE / side
+    paths: dict[str, dict[int, tuple[float, float]]] = {}
+    radii: dict[str, list[float]] = {}
+    with table.open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            frame = int(row["frame"])
+            if row["x"] in ("", "nan", "null") or (kept is not None and frame not in kept):
+                continue
+            x, y = float(row["x"]) - left, float(row["y"]) - top
+            if 0 <= x <= side and 0 <= y <= side:
+                number = frame if kept is None else kept[frame]
+                paths.setdefault(row["ball"], {})[number] = (scale * x, scale * y)
+            radii.setdefault(row["ball"], []).append(scale * float(row["radius"] or "nan"))
+    return paths, {ball: float(np.nanmedian(values)) for ball, values in radii.items()}
+
+
+def _moves(path: Mapping[int, tuple[float, float]], start: int) -> bool:
+    frames = range(start, start + OBSERVED_FRAMES)
+    if any(frame not in path for frame in frames):
+        return False
+    return float(np.hypot(*np.subtract(path[frames[-1]], path[start]))) >= MOVES_PX
+
+
+def _pictures(
+    video: Path, crop: tuple[int, int, int], kept: dict[int, int] | None, wanted: set[int]
+) -> Iterator[tuple[int, UInt8[np.ndarray, "128 128 3"]]]:
+    left, top, side = crop
+    for frame, moment in enumerate(every_frame(video)):
+        number = frame if kept is None else kept.get(frame, -1)
+        if number in wanted:
+            cut = np.ascontiguousarray(moment.picture[top : top + side, left : left + side])
+            size = (NETWORK_FRAME_SIZE,) * 2
+            yield number, cv2.resize(cut, size, interpolation=cv2.INTER_AREA)
+
+
+def find(eye: Eye, windows: list[ClipWindow], *, prompted: bool) -> Found:
+    """Measure an eye on windows.
+
+    Parameters
+    ----------
+    prompted
+        Whether it is told roughly where the ball is in the last frame.
+    """
+    path = np.stack([window.path for window in windows])
+    frames = torch.from_numpy(np.stack([window.frames for window in windows]))
+    prompts = None
+    if prompted:
+        error = np.random.default_rng(0).normal(0, PROMPT_ERROR_PX, (len(windows), 2))
+        rough = (path[:, -1] + error - PIXEL_UNIT) / PIXEL_UNIT
+        prompts = torch.from_numpy(rough[:, None].astype(np.float32))
+    with torch.inference_mode():
+        reading: Reading = eye(frames, prompts)
+    seen = PIXEL_UNIT + PIXEL_UNIT * reading.seen_positions[-1][:, 0].numpy()
+    off = seen - path
+    errors = np.linalg.norm(off[:, -1], axis=-1)
+    radii = np.array([window.radius for window in windows])
+    return Found(
+        errors,
+        np.linalg.norm(off[:, -1] - off[:, -2], axis=-1),
+        errors <= np.maximum(radii, FOUND_PX),
+    )
+
+
+def table(network: Network, clips: Path, tracks: Path) -> Iterator[str]:
+    """Lines of a table, one for every clip."""
+    (eye,) = (part for part in network.modules() if isinstance(part, Eye))
+    setups = json.loads((tracks / "setup.json").read_text(encoding="utf-8"))
+    yield "| clip | windows | found, % | displacement, px: median / mean | with a prompt | |"
+    yield "|---|---|---|---|---|---|"
+    shares: list[tuple[float, float]] = []
+    for name, setup in setups.items():
+        windows = clip_windows(clips, tracks, name, setup)
+        alone, prompted = (find(eye, windows, prompted=p) for p in (False, True))
+        shares.append((alone.found.mean(), prompted.found.mean()))
+        yield f"| {name} | {len(windows)} | {_cells(alone)} | {_cells(prompted)} |"
+    means = 100 * np.mean(shares, axis=0)
+    yield f"| mean of clips | | {means[0]:.0f} | | {means[1]:.0f} | |"
+
+
+def _cells(found: Found) -> str:
+    errors = found.displacement_errors
+    share = 100 * found.found.mean()
+    return f"{share:.0f} | {np.median(errors):.2f} / {errors.mean():.2f}"
