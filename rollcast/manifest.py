@@ -187,6 +187,9 @@ class Manifest(_Part):
     """Largest absolute difference from golden.npz at which the model is served."""
     setup: CameraSetup | None = None
     """Of models for footage, and of them alone."""
+    random_appearances: bool = False
+    """Training on frames of random appearance: "auto" uses such a model where the frames are out of
+    distribution for the model that it would choose."""
     unfamiliar: Unfamiliar | None = None
     """None without FAMILIARITY_FILE: such a model cannot tell."""
     files: dict[str, Sha256]

@@ -3,11 +3,13 @@
 from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import UInt8
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import Manifest
 from rollcast.rollout import Outputs, stacked
 from rollcast.schemas import (
+    AUTO_MODEL,
     DEFAULT_HORIZON,
     ForecastObject,
     ForecastSummary,
@@ -22,11 +24,11 @@ from rollcast.schemas import (
 from service.errors import InvalidValueError
 from service.http.image_decoding import Check, decode_frames
 from service.inference.deadlines import CancellationToken
-from service.inference.rollout import Forecast, assemble
+from service.inference.rollout import Forecast, Predictor, assemble
 from service.inference.scheduler import DecodedRequest
 from service.observability.metrics import Metrics
 from service.observability.tracing import Stages
-from service.serving.forecast_warnings import doubts
+from service.serving.forecast_warnings import doubts, is_unfamiliar, replaced
 from service.serving.registry import ModelQuery, Registry
 
 Parser = Callable[[Check], PredictRequest]
@@ -76,8 +78,18 @@ class _Forecast:
         self._rate = request.frame_rate or predictor.manifest.frame_rate_hz
         frames, self._side = _decode(request, self._token.raise_if_cancelled)
         self._doubts = doubts(predictor, self._horizon, self._rate, frames)
+        predictor = self._used(predictor, frames)
         self._stages.next()
         return DecodedRequest(predictor, frames[None], self._horizon)
+
+    def _used(self, chosen: Predictor, frames: UInt8[np.ndarray, "K 128 128 3"]) -> Predictor:
+        """Return the model that forecasts: "auto" has another one for unfamiliar frames."""
+        other = self._registry.for_unfamiliar_frames(chosen)
+        if self.request.model != AUTO_MODEL or other is None or not is_unfamiliar(chosen, frames):
+            return chosen
+        self.manifest = other.manifest
+        self._doubts = [*self._doubts, replaced(chosen.manifest, other.manifest)]
+        return other
 
     def step(self, index: int, outputs: Outputs) -> None:  # noqa: ARG002
         """Note when the first step is there: the frames are encoded."""

@@ -26,6 +26,19 @@ def doubts(
     ]
 
 
+def is_unfamiliar(predictor: Predictor, frames: UInt8[np.ndarray, "K 128 128 3"]) -> bool:
+    """Whether frames are out of distribution for a model; False where it cannot tell."""
+    return bool(_of_looks(predictor, frame_stats(frames)))
+
+
+def replaced(chosen: Manifest, used: Manifest) -> str:
+    """Return the warning that a model for unfamiliar frames has replaced the usual choice."""
+    return (
+        f"{used.label} forecasts in place of {chosen.label}: it was trained on frames of random "
+        "appearance. Name a model to use another one."
+    )
+
+
 def _of_horizon(manifest: Manifest, horizon: int) -> list[str]:
     found: list[str] = []
     if horizon > manifest.trained_horizon:

@@ -196,6 +196,23 @@ class Registry:
             )
         return min(suitable, key=lambda predictor: predictor.manifest.validation_error_px)
 
+    def for_unfamiliar_frames(self, chosen: Predictor) -> Predictor | None:
+        """Return the model that replaces a choice of "auto" for out-of-distribution frames.
+
+        It was trained on frames of random appearance and forecasts the same balls, scenarios and
+        frames; None when no such model is served.
+        """
+        wanted = chosen.manifest
+        suitable = [
+            predictor
+            for predictor in self.served
+            if predictor.manifest.random_appearances
+            and predictor.manifest.objects == wanted.objects
+            and predictor.manifest.frames == wanted.frames
+            and set(wanted.scenarios) <= set(predictor.manifest.scenarios)
+        ]
+        return max(suitable, key=lambda predictor: predictor.manifest.version, default=None)
+
     def _labels(self) -> str:
         return _one_of(model.label for model in self.models)
 

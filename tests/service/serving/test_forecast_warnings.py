@@ -64,3 +64,35 @@ def test_the_stream_says_the_same(client):
     whole = client.post("/predict", json=at_rest).json()["warnings"]
     assert whole
     assert whole[0] in client.post("/predict/stream", json=at_rest).text
+
+
+def test_auto_has_another_model_for_unfamiliar_frames_alone(start):
+    frames = np.stack([samples.dot(40 + 2 * index, 60 + index) for index in range(4)])
+    fields = {
+        "unfamiliar": {"threshold": 1.5, "false_alarm_rate": 0.006, "test_windows": 1500},
+        "files": dict.fromkeys([*samples.HASHED_FILES, "familiarity.npz"], 64 * "0"),
+    }
+    usual = samples.manifest(**fields)
+    robust = samples.manifest(
+        version=2, default=False, random_appearances=True, validation_error_px=9.0, **fields
+    )
+    models = [
+        Model("dot", one.version, one, samples.DotPredictor(one, familiarity(frames)))
+        for one in (usual, robust)
+    ]
+    client = start(lambda *_: Registry(models))
+    noise = np.random.default_rng(0).integers(0, 256, (4, 64, 64, 3), np.uint8)
+    unlike = [samples.png(frame) for frame in noise]
+
+    def answered(images, **options):
+        answer = client.post("/predict", json=samples.body(images, horizon=2, **options)).json()
+        return answer["model"]["version"], answer["warnings"]
+
+    assert answered(samples.moving_dot()) == (1, [])
+    version, told = answered(unlike)
+    assert version == 2
+    assert "look unlike those that dot@1 was trained on" in told[0]
+    assert told[1].startswith("dot@2 forecasts in place of dot@1")
+    version, told = answered(unlike, model="dot")
+    assert version == 1
+    assert len(told) == 1
