@@ -23,11 +23,20 @@ CARD_FILE = "MODEL_CARD.md"
 GOLDEN_FILE = "golden.npz"
 FAMILIARITY_FILE = "familiarity.npz"
 """What the training frames look like (``rollcast.ood``); not every artefact has it."""
+DETECTOR_FILE, REFINER_FILE = "detector.onnx", "refiner.onnx"
+"""Of networks for any number of balls: whole frames to candidates, and patches around them."""
 HASHED_FILES = (ENCODER_FILE, STEP_FILE, CARD_FILE, GOLDEN_FILE)
 """Those that every artefact has."""
 
 FRAMES_INPUT = "frames"
 """Input of the first graph, uint8 [B, frames, 128, 128, 3]; also the golden frames' name."""
+PATCHES_INPUT = "patches"
+"""Input of the refiner's graph, float32 [M, 4, 3, 32, 32] (``rollcast.patches``)."""
+DETECTOR_OUTPUTS = ("places", "radii", "scores", "moving", "votes", "ground", "scene")
+REFINER_OUTPUTS = ("rough", "offsets", "log_radius", "visible", "log_sigmas", "features")
+BALL_INPUTS = ("places", "radii", "log_sigmas", "features")
+"""What the encoder's graph reads of every ball, [B, N, ...], and of the whole frames:"""
+SCENE_INPUTS = ("ground", "scene")
 NEXT_PREFIX = "next_"
 """The step graph reads the state as NAME and returns it as next_NAME."""
 

@@ -7,6 +7,7 @@ every ball is then composed into a small patch.
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -21,8 +22,8 @@ _SUPERSAMPLES = 2
 
 _CHECKER_SIDE_RAD = math.pi / 10
 _CHECKER_COLORS = np.array([[0.92, 0.92, 0.90], [0.22, 0.26, 0.32]])
-_GROUND_COLOR = np.array([0.80, 0.76, 0.70])
-_BEYOND_COLOR = np.array([0.05, 0.05, 0.05])
+GROUND_COLOR = np.array([0.80, 0.76, 0.70])
+BEYOND_COLOR = np.array([0.05, 0.05, 0.05])
 """Outside the rim of a bowl."""
 
 # Body octants of the textured ball, told apart by the signs of the body's x, y and z.
@@ -38,7 +39,7 @@ _DIFFUSE, _SPECULAR, _SHININESS = 0.8, 0.5, 30
 
 _LIGHT_SIDE_M = 0.1
 _LIGHT_POWER = 4.5
-_AMBIENT_ON_HEIGHTFIELD = 0.12
+AMBIENT_ON_HEIGHTFIELD = 0.12
 _SHADOW_STEPS = 16
 
 
@@ -58,6 +59,39 @@ _BOWL_LIGHTING = {
 
 _Box = tuple[slice, slice]
 """Rows and columns of an image."""
+
+
+class Dress(Protocol):
+    """Another look of a scene whose shape and motion stay as they are."""
+
+    ground: Float[np.ndarray, "size size 3"]
+    """The lit scene without balls, intensities 0..1, float32."""
+    ambient: Float[np.ndarray, "size size 3"]
+    """The same in full shadow of the area light; used where the scene has one."""
+
+    def cast_shadow(
+        self, image: Float[np.ndarray, "size size 3"], centre_px: np.ndarray, radius_px: float
+    ) -> None:
+        """Darken the ground around a ball in a scene without an area light."""
+        ...
+
+    def ball_color(
+        self,
+        normals: Float[np.ndarray, "rows columns 3"],
+        body_normals: Float[np.ndarray, "rows columns 3"],
+        light: Float[np.ndarray, "rows columns 1"],
+        sharpness: float,
+    ) -> Float[np.ndarray, "rows columns 3"] | None:
+        """Colours of a ball's points, from normals in world and body axes; None for the scene's.
+
+        Parameters
+        ----------
+        light
+            The scene's light on the points.
+        sharpness
+            Radius in pixels.
+        """
+        ...
 
 
 class Renderer:
@@ -100,6 +134,34 @@ class Renderer:
             ]
         )
 
+    def render_dressed(
+        self, trajectory: Trajectory, dress: Dress
+    ) -> UInt8[np.ndarray, "frames size size 3"]:
+        """Render every frame of a trajectory in another look."""
+        states = zip(trajectory.positions_m, trajectory.orientations_xyzw, strict=True)
+        return np.stack([_levels(self._dressed_frame(*state, dress)) for state in states])
+
+    def _dressed_frame(
+        self, positions: np.ndarray, orientations: np.ndarray, dress: Dress
+    ) -> np.ndarray:
+        image = dress.ground.copy()
+        scale = self._camera.pixels_per_metre
+        for position in positions:
+            if self._scene.light_position_m is not None:
+                self._cast_shadow(image, position, dress.ambient)
+            else:
+                radius_px = self._scene.radius_m * scale
+                dress.cast_shadow(image, self._camera.project(position), radius_px)
+        for index in np.argsort(positions[:, 2]):
+            self._compose_ball(image, int(index), positions[index], orientations[index], dress)
+        return image
+
+    def light_on_ground(self) -> Float[np.ndarray, "size size"]:
+        """Light on the ground under every pixel's centre, shadows of hills left out."""
+        x, y = self._camera.pixel_centres_m()
+        z, normals = self._surface.height_and_normal(x, y)
+        return self._light_on(np.stack([x, y, z], axis=-1), normals)
+
     def _frame(self, positions: np.ndarray, orientations: np.ndarray) -> np.ndarray:
         image = self._background.copy()
         touched: list[_Box] = []
@@ -124,12 +186,12 @@ class Renderer:
         if isinstance(self._surface, EllipsoidalBowl):
             colors = _checkerboard(self._surface, x, y)
         else:
-            colors = np.broadcast_to(_GROUND_COLOR, points.shape)
+            colors = np.broadcast_to(GROUND_COLOR, points.shape)
         light = self._light_on(points, normals)
         if isinstance(self._surface, Heightfield):
-            lamp = light - _AMBIENT_ON_HEIGHTFIELD
-            light = _AMBIENT_ON_HEIGHTFIELD + lamp * self._terrain_visibility(points)
-        shaded = np.where(np.isnan(z)[..., None], _BEYOND_COLOR, colors * light[..., None])
+            lamp = light - AMBIENT_ON_HEIGHTFIELD
+            light = AMBIENT_ON_HEIGHTFIELD + lamp * self._terrain_visibility(points)
+        shaded = np.where(np.isnan(z)[..., None], BEYOND_COLOR, colors * light[..., None])
         blocks = shaded.reshape(size, _SUPERSAMPLES, size, _SUPERSAMPLES, 3)
         return blocks.mean(axis=(1, 3)).astype(np.float32)
 
@@ -143,7 +205,7 @@ class Renderer:
         facing = np.maximum(np.sum(towards * normals, axis=-1) / np.sqrt(squared), 0)
         # The lamp is a small square that faces down, so it shines with the cosine of its own angle.
         downwards = towards[..., 2] / np.sqrt(squared)
-        return _AMBIENT_ON_HEIGHTFIELD + _LIGHT_POWER * facing * downwards / squared
+        return AMBIENT_ON_HEIGHTFIELD + _LIGHT_POWER * facing * downwards / squared
 
     def _terrain_visibility(self, points: np.ndarray) -> np.ndarray:
         """Share of the area light that points of the ground see past the ground itself.
@@ -166,7 +228,9 @@ class Renderer:
         visible = _smooth_step((clearance + 1) / 2)
         return visible.repeat(_SUPERSAMPLES, axis=0).repeat(_SUPERSAMPLES, axis=1)
 
-    def _cast_shadow(self, image: np.ndarray, centre: np.ndarray) -> _Box:
+    def _cast_shadow(
+        self, image: np.ndarray, centre: np.ndarray, shaded: np.ndarray | None = None
+    ) -> _Box:
         """Darken the ground where a ball stands between it and the area light."""
         box = self._shadow_box(centre)
         points = self._ground_points[box]
@@ -178,7 +242,8 @@ class Renderer:
         visible = _smooth_step(((passing - self._scene.radius_m) / penumbra + 1) / 2)
         visible = np.where(along > 0, visible, 1.0)[..., None]
         patch = image[box]
-        ambient = np.minimum(patch, _AMBIENT_ON_HEIGHTFIELD * _GROUND_COLOR)
+        ambient = AMBIENT_ON_HEIGHTFIELD * GROUND_COLOR if shaded is None else shaded[box]
+        ambient = np.minimum(patch, ambient)
         patch[:] = ambient + (patch - ambient) * visible
         return box
 
@@ -198,7 +263,12 @@ class Renderer:
         return slice(top, bottom), slice(left, right)
 
     def _compose_ball(
-        self, image: np.ndarray, index: int, centre: np.ndarray, orientation: np.ndarray
+        self,
+        image: np.ndarray,
+        index: int,
+        centre: np.ndarray,
+        orientation: np.ndarray,
+        dress: Dress | None = None,
     ) -> _Box:
         radius = self._scene.radius_m
         scale = self._camera.pixels_per_metre
@@ -217,7 +287,13 @@ class Renderer:
         box = slice(top, bottom), slice(left, right)
         hidden = centre[2] + radius * normals[..., 2] < self._heights[box]
         coverage = np.where(hidden, 0, coverage)[..., None]
-        color = self._ball_color(index, normals, centre, orientation)
+        color = None
+        if dress is not None:
+            light = self._light_on(centre + radius * normals, normals)[..., None]
+            turned = normals @ _rotation(orientation)
+            color = dress.ball_color(normals, turned, light, radius * scale)
+        if color is None:
+            color = self._ball_color(index, normals, centre, orientation)
         image[box] += coverage * (color - image[box])
         return box
 

@@ -8,6 +8,7 @@ import dataclasses
 import hashlib
 import io
 import json
+import math
 import multiprocessing
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -19,7 +20,7 @@ import numpy as np
 from fsspec.core import url_to_fs
 from tqdm import tqdm
 
-from rollcast.scene import Scenario, Scene
+from rollcast.scene import SCENARIOS, Scenario, Scene
 from rollcast.simulation import SceneRejectedError, Simulator
 from rollcast.simulation import Sequence as Simulated
 from rollcast.simulation.physics import STEPS_PER_FRAME, Material
@@ -34,6 +35,9 @@ WORLD_REVISION = 2
 SHARD_SCENES = 50
 STORED_FRAMES = 288
 """Frames kept of every simulation, from its start."""
+
+VARIETY_STREAM = 1
+"""Keeps the draws of :class:`Variety` apart from those of the scene of the same seed."""
 
 SHARDS_PER_WORKER = 4
 """Shards after which a worker process is replaced: PyBullet leaks (design, section 3)."""
@@ -61,6 +65,41 @@ class SceneOverride:
 
 
 @dataclass(frozen=True)
+class Variety:
+    """Scene parameters that are drawn for every scene from more than the paper's distributions.
+
+    Each is uniform within its limits, speeds by their logarithm. A scene is a function of its seed.
+    """
+
+    name: str = "varied"
+    radius_m: tuple[float, float] = (0.03, 0.25)
+    axis_ratio: tuple[float, float] = (0.4, 1.0)
+    """Of ellipsoidal bowls; where the ball would not touch the bottom, the lower limit rises."""
+    light_side_m: float = 2.5
+    """Largest x and y of a heightfield's light."""
+    light_height_m: tuple[float, float] = (1.0, 4.0)
+    heightfield_speed: tuple[float, float] = (0.3, 3.0)
+    """Start speed relative to the paper's. Half of the scenes keep the paper's."""
+    bowl_speed: tuple[float, float] = (0.4, 1.2)
+
+    def override(self, scenario: Scenario, seed: int) -> SceneOverride:
+        """Return what is unusual about the scene of a seed."""
+        generator = np.random.default_rng([seed, SCENARIOS.index(scenario), VARIETY_STREAM])
+        radius = generator.uniform(*self.radius_m)
+        parameters: dict[str, object] = {"radius_m": radius}
+        if scenario == "ellipsoid":
+            least = max(self.axis_ratio[0], math.sqrt(radius))
+            parameters["axis_ratio"] = generator.uniform(least, self.axis_ratio[1])
+        if scenario == "heightfield":
+            x, y = generator.uniform(-self.light_side_m, self.light_side_m, 2).tolist()
+            parameters["light_position_m"] = (x, y, generator.uniform(*self.light_height_m))
+        speeds = self.heightfield_speed if scenario == "heightfield" else self.bowl_speed
+        speed = math.exp(generator.uniform(*np.log(speeds)))
+        usual = generator.random() < 0.5
+        return SceneOverride(self.name, tuple(parameters.items()), 1.0 if usual else speed)
+
+
+@dataclass(frozen=True)
 class Source:
     """One kind of scene of a data set.
 
@@ -69,38 +108,49 @@ class Source:
     radius_m
         Ball radius; None leaves it to the scene's own distribution.
     change
-        What else is unusual about its scenes.
+        What else is unusual about its scenes, all alike.
+    variety
+        What is drawn anew for each of its scenes instead.
     """
 
     scenario: Scenario
     objects: int = 1
     radius_m: float | None = None
     override: SceneOverride | None = None
+    variety: Variety | None = None
+
+    def __post_init__(self) -> None:
+        if self.variety and (self.override or self.radius_m is not None):
+            raise ValueError("variety draws what override and radius_m would fix")
 
     @property
     def name(self) -> str:
         """Folder name of the source."""
         radius = "" if self.radius_m is None else f"-r{self.radius_m}"
-        change = "" if self.override is None else f"-{self.override.name.replace(' ', '-')}"
+        unusual = self.override or self.variety
+        change = "" if unusual is None else f"-{unusual.name.replace(' ', '-')}"
         return f"{self.scenario}-{self.objects}{radius}{change}"
 
     @property
     def parameters(self) -> dict[str, object]:
-        """Fields of its scenes that are fixed."""
+        """Fields of all its scenes that are fixed."""
         radius: dict[str, object] = {} if self.radius_m is None else {"radius_m": self.radius_m}
         return radius | dict(() if self.override is None else self.override.parameters)
 
     def sequence(self, simulator: Simulator, seed: int) -> Simulated | None:
         """Simulate one of its scenes; None when a rule rejects what is unusual about it."""
         draw = partial(simulator.sequence, self.scenario, self.objects, seed)
-        parameters = self.parameters
-        if self.override is None:
+        parameters, override = self.parameters, self.override
+        if self.variety is not None:
+            override = self.variety.override(self.scenario, seed)
+            parameters |= dict(override.parameters)
+        if override is None:
             return draw(STORED_FRAMES, 0, parameters)
         try:
-            if self.override.speed != 1:
+            if override.speed != 1:
                 usual = draw(1, 0, parameters).scene
                 parameters |= usual.model_dump(include={"positions_m", "orientations_xyzw"})
-                velocities = self.override.speed * np.array(usual.velocities_m_s)
+                velocities = override.speed * np.array(usual.velocities_m_s)
                 parameters["velocities_m_s"] = velocities.tolist()
             return draw(STORED_FRAMES, 0, parameters)
         except SceneRejectedError:

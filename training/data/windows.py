@@ -168,16 +168,25 @@ class WindowMaker:
         )
 
     def _frames(self, index: int, start: int) -> UInt8[np.ndarray, "seen 128 128 3"]:
-        scene, trajectory = self._recordings[index].scene, self._recordings[index].trajectory
-        if index not in self._renderers:
-            camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
-            empty = None if self._scene_cache is None else self._scene_cache.empty[index]
-            self._renderers[index] = Renderer(scene, camera, empty)
-        frames = self._renderers[index].render(trajectory.window(start, OBSERVED_FRAMES))
+        trajectory = self._recordings[index].trajectory
+        frames = self.renderer(index).render(trajectory.window(start, OBSERVED_FRAMES))
         if self._final_step is None:
             return frames
         last = trajectory.window(start + FIRST_FORECAST_FRAME + self._final_step, 1)
-        return np.concatenate([frames, self._renderers[index].render(last)])
+        return np.concatenate([frames, self.renderer(index).render(last)])
+
+    def recording(self, index: int) -> Recording:
+        """Return a scene with its trajectory."""
+        return self._recordings[index]
+
+    def renderer(self, index: int) -> Renderer:
+        """Return what renders a scene."""
+        if index not in self._renderers:
+            scene = self._recordings[index].scene
+            camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
+            empty = None if self._scene_cache is None else self._scene_cache.empty[index]
+            self._renderers[index] = Renderer(scene, camera, empty)
+        return self._renderers[index]
 
     def _scene_targets(self, index: int, start: int, horizon: int) -> SceneTargets | None:
         if self._grounds is None:

@@ -120,7 +120,7 @@ class Encounters(nn.Module):
         closing = ball.velocity[:, None] - ball.velocity[:, :, None]
         ahead = torch.tensor(AHEAD, device=apart.device)[:, None]
         ways = apart[..., None, :] + ahead * closing[..., None, :]
-        gaps = ways.norm(dim=-1) - 2 * ball.radius[:, :, None]
+        gaps = ways.norm(dim=-1) - self.reach(ball)
         objects = apart.shape[1]
         mine = ball.spin[:, :, None].expand(-1, -1, objects, -1)
         other = ball.spin[:, None].expand(-1, objects, -1, -1)
@@ -132,6 +132,10 @@ class Encounters(nn.Module):
         near = (1 - 10 * gaps.amin(dim=-1, keepdim=True)).clamp(0, 1)
         strangers = 1 - torch.eye(objects, device=apart.device)[..., None]
         return (of_each(self.message, seen) * near * strangers).sum(dim=2)
+
+    def reach(self, ball: Ball) -> Tensor:
+        """Distance [B, N, 1 or N, 1] of the centres of two balls that touch."""
+        return 2 * ball.radius[:, :, None]
 
 
 class Rolling(nn.Module):
@@ -149,12 +153,12 @@ class Rolling(nn.Module):
         self.layers = nn.Sequential(
             nn.Linear(felt, hidden), nn.SiLU(), nn.Linear(hidden, hidden), nn.SiLU()
         )
-        self.override = nn.Linear(hidden, 9)
+        self.change = nn.Linear(hidden, 9)
         # Plain bounces and free rolling are linear in what is felt.
         self.linear = nn.Linear(felt, 9, bias=False)
         # Doubt listens without changing what is said of the positions.
         self.doubt = nn.Sequential(nn.Linear(felt + 3, 64), nn.SiLU(), nn.Linear(64, 3))
-        for last in (self.override, self.linear, self.doubt[-1]):
+        for last in (self.change, self.linear, self.doubt[-1]):
             assert isinstance(last, nn.Linear)
             for parameter in last.parameters():
                 nn.init.zeros_(parameter)
@@ -162,7 +166,7 @@ class Rolling(nn.Module):
     def forward(self, ball: Ball, ground_B3GG: Tensor) -> Ball:
         """Balls [B, N, ...] a frame later."""
         felt = self._felt(ball, ground_B3GG)
-        change = of_each(self.override, of_each(self.layers, felt)) + of_each(self.linear, felt)
+        change = of_each(self.change, of_each(self.layers, felt)) + of_each(self.linear, felt)
         moved, pushed, turned = change.split(3, dim=-1)
         doubting = torch.cat([ball.doubt, felt], dim=-1).detach()
         doubt = ball.doubt + of_each(self.doubt, doubting)
@@ -207,10 +211,10 @@ class Bend(nn.Module):
         self.layers = nn.Sequential(
             nn.Linear(known, hidden), nn.SiLU(), nn.Linear(hidden, hidden), nn.SiLU()
         )
-        self.override = nn.Linear(hidden, 4 + 2 + 3)
+        self.change = nn.Linear(hidden, 4 + 2 + 3)
         # Doubt listens without changing what is said of the positions.
         self.doubt = nn.Sequential(nn.Linear(known + 3, 64), nn.SiLU(), nn.Linear(64, 3))
-        for last in (self.override, self.doubt[-1]):
+        for last in (self.change, self.doubt[-1]):
             assert isinstance(last, nn.Linear)
             nn.init.zeros_(last.weight)
             nn.init.zeros_(last.bias)
@@ -218,7 +222,7 @@ class Bend(nn.Module):
     def forward(self, ball: Ball, ground_B3GG: Tensor, course: Course) -> Ball:
         """Balls [B, N, ...] where they are on their bent ways."""
         known = self._known(ball, ground_B3GG, course)
-        change = of_each(self.override, of_each(self.layers, known))
+        change = of_each(self.change, of_each(self.layers, known))
         gain, aside, turned = change.split((4, 2, 3), dim=-1)
         doubting = torch.cat([ball.doubt, known], dim=-1).detach()
         u, miss = course.passed, course.miss

@@ -1,0 +1,1 @@
+"""Paints appearances: grounds, balls, clutter, and what camera and sensor do to the picture."""

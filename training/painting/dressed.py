@@ -1,0 +1,281 @@
+"""The paper's scenes in another look: shapes and trajectories stay true."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
+from rollcast.scene import Scene
+from rollcast.simulation.appearance import (
+    Appearance,
+    BallLook,
+    CameraPose,
+    Clutter,
+    draw_appearance,
+    draw_ball,
+    mean_color,
+)
+from rollcast.simulation.rendering import (
+    AMBIENT_ON_HEIGHTFIELD,
+    BEYOND_COLOR,
+    GROUND_COLOR,
+    Renderer,
+)
+from rollcast.surfaces import EllipsoidalBowl, surface_of
+from rollcast.trajectory import OBSERVED_FRAMES, Trajectory
+from training.painting.balls import BallPainter, cast_soft_shadow, paint_ball, random_rotation
+from training.painting.camera import posed_frames, posed_points, shaken
+from training.painting.clutter import clutter_mask, paint_clutter
+from training.painting.ground import SIZE, paint_ground
+from training.painting.sensor import through_sensor
+
+CLEAR_PX = 2.0
+"""Least distance of the balls' centres from the frame's border."""
+
+_TRIES = 10
+
+
+@dataclass(frozen=True)
+class Costume:
+    """How one window of a scene of the paper's looks.
+
+    Attributes
+    ----------
+    ball
+        None for the paper's texture.
+    ground
+        ``paper`` for the paper's colours, ``checkers`` for a bowl's fields in other colours and
+        sizes, ``painted`` for a picture on the ground.
+    fields_rad
+        Side of the fields of ``checkers``.
+    lamp
+        Whether a bowl is lit by the appearance's lamp instead of the paper's light.
+    resting
+        Other balls: look, place and radius in pixels.
+    seed
+        Of orientations.
+    """
+
+    appearance: Appearance
+    ball: BallLook | None
+    ground: str
+    fields_rad: float
+    lamp: bool
+    resting: tuple[tuple[BallLook, tuple[float, float], float], ...]
+    seed: int
+
+
+class DressedWindow(NamedTuple):
+    """Frames with what the camera did to the places of things in them."""
+
+    frames: UInt8[np.ndarray, "frames size size 3"]
+    pose: CameraPose
+    shake: Float[np.ndarray, "frames 2"]
+    """Shift of the picture, none in the last frame."""
+
+
+def draw_costume(
+    generator: np.random.Generator,
+    scene: Scene,
+    path_px: Float[np.ndarray, "frames 2"],
+) -> Costume:
+    """Draw the look of a window of a scene with one ball.
+
+    Parameters
+    ----------
+    path_px
+        Places of the ball in the paper's frames.
+    """
+    appearance = draw_appearance(generator, strength=0.8)
+    heightfield = scene.scenario == "heightfield"
+    kinds = ("paper", "painted") if heightfield else ("paper", "checkers", "painted")
+    ground = kinds[generator.integers(len(kinds))]
+    beneath = mean_color(appearance.ground) if ground == "painted" else (0.5, 0.5, 0.5)
+    ball = None if generator.random() < 0.35 else draw_ball(generator, apart_from=beneath)
+    if ball is not None and generator.random() < 0.25:
+        white = (1.0, 1.0, 1.0)  # what ``textured=False`` gives
+        ball = replace(ball, pattern="plain", colors=(white, white, white), gloss=0.0)
+    radius = scene.radius_m * camera_for(scene.scenario, SIZE).pixels_per_metre
+    count = int(generator.choice([0, 1, 2, 4], p=[0.55, 0.25, 0.12, 0.08]))
+    resting = tuple(
+        other for _ in range(count) if (other := _draw_resting(generator, path_px, radius))
+    )
+    appearance = replace(
+        appearance,
+        camera=_visible_pose(appearance.camera, path_px, heightfield=heightfield),
+        clutter=tuple(c for c in appearance.clutter if not _hides(c, path_px, radius)),
+    )
+    return Costume(
+        appearance, ball, ground,
+        fields_rad=math.pi / generator.uniform(4, 20),
+        lamp=not heightfield and generator.random() < 0.5,
+        resting=resting,
+        seed=int(generator.integers(2**31)),
+    )  # fmt: skip
+
+
+def _draw_resting(
+    generator: np.random.Generator, path_px: np.ndarray, radius: float
+) -> tuple[BallLook, tuple[float, float], float] | None:
+    size = radius * generator.uniform(0.4, 1.4)
+    for _ in range(_TRIES):
+        at = generator.uniform(0, SIZE, 2)
+        if np.linalg.norm(path_px - at, axis=1).min() > radius + size:
+            return draw_ball(generator), (float(at[0]), float(at[1])), size
+    return None
+
+
+def _visible_pose(pose: CameraPose, path_px: np.ndarray, *, heightfield: bool) -> CameraPose:
+    """Leave the camera where it is when the ball would be out of sight."""
+    if heightfield:  # there is no picture of what lies beyond its frame: turn it a little only
+        pose = replace(pose, rotation_rad=0.1 * pose.rotation_rad)
+    seen = posed_points(path_px, pose)
+    return pose if seen.min() > CLEAR_PX and seen.max() < SIZE - CLEAR_PX else CameraPose()
+
+
+def _hides(thing: Clutter, path_px: np.ndarray, radius: float) -> bool:
+    along = np.arange(SIZE) + 0.5
+    for frame, (x, y) in enumerate(path_px):
+        disc = np.hypot(along[None, :] - x, along[:, None] - y) <= radius + 1
+        if (clutter_mask(thing, frame) * disc).sum() > 0.05 * disc.sum():
+            return thing.kind != "shadow"
+    return False
+
+
+class _Outfit:
+    """What :class:`rollcast.simulation.rendering.Dress` asks for."""
+
+    def __init__(self, renderer: Renderer, scene: Scene, costume: Costume) -> None:
+        self._costume = costume
+        self._lamp = costume.appearance.lamp
+        self._painter = None if costume.ball is None else BallPainter(costume.ball)
+        self.ground, self.ambient = _dressed_ground(renderer, scene, costume)
+
+    def cast_shadow(self, image: np.ndarray, centre_px: np.ndarray, radius_px: float) -> None:
+        """Darken the ground where the lamp does not reach."""
+        if self._costume.lamp:
+            cast_soft_shadow(image, centre_px, radius_px, self._lamp)
+
+    def ball_color(
+        self, normals: np.ndarray, body_normals: np.ndarray, light: np.ndarray, sharpness: float
+    ) -> np.ndarray | None:
+        """Colours of the ball's points."""
+        if self._painter is None:
+            return None
+        if self._costume.lamp:
+            # A lamp's axes are the image's: y down.
+            seen = normals * np.array([1, -1, 1])
+            return self._painter.lit(seen, body_normals, self._lamp, sharpness)
+        if self._painter.look.pattern in ("metallic", "disc"):
+            lit = self._painter.lit(normals, body_normals, self._lamp, sharpness)
+            return lit * light
+        colors = self._painter.albedo(body_normals, sharpness) * light
+        look = self._painter.look
+        highlight = np.maximum(2 * normals[..., 2:] ** 2 - 1, 0) ** look.shininess
+        return colors + look.gloss * highlight
+
+
+def _dressed_ground(
+    renderer: Renderer, scene: Scene, costume: Costume
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lit ground without balls, and in full shadow of the area light."""
+    appearance = costume.appearance
+    paper = renderer.empty.astype(np.float32) / 255
+    if scene.scenario == "heightfield":
+        albedo = np.broadcast_to(GROUND_COLOR.astype(np.float32), paper.shape)
+        if costume.ground == "painted":
+            albedo = paint_ground(appearance.ground)
+        image = albedo * (paper / GROUND_COLOR.astype(np.float32))
+        ambient = AMBIENT_ON_HEIGHTFIELD * albedo
+    else:
+        image = _bowl(renderer, scene, costume, paper)
+        ambient = image
+    image = np.ascontiguousarray(image, dtype=np.float32)
+    generator = np.random.default_rng(costume.seed)
+    for thing in appearance.clutter:
+        if thing.kind not in ("hand", "cue", "shadow"):
+            paint_clutter(image, thing, clutter_mask(thing, OBSERVED_FRAMES - 1))
+    for look, at, radius in costume.resting:
+        lamp = appearance.lamp
+        cast_soft_shadow(image, np.asarray(at), radius, lamp)
+        turn = random_rotation(generator)
+        paint_ball(image, BallPainter(look), np.asarray(at), radius, turn, lamp)
+    return image, np.asarray(ambient, dtype=np.float32)
+
+
+def _bowl(renderer: Renderer, scene: Scene, costume: Costume, paper: np.ndarray) -> np.ndarray:
+    appearance = costume.appearance
+    fine = 2
+    camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
+    surface = surface_of(scene)
+    assert isinstance(surface, EllipsoidalBowl)
+    x, y = camera.pixel_centres_m()
+    z, normals = surface.height_and_normal(x, y)
+    inside = (~np.isnan(z))[..., None]
+    if costume.lamp:
+        lamp = appearance.lamp
+        towards = np.asarray(lamp.direction) * (1, -1, 1)
+        facing = np.maximum(np.nan_to_num(normals) @ towards, 0)
+        light = (lamp.ambient + (1 - lamp.ambient) * facing)[..., None]
+    else:
+        light = np.nan_to_num(renderer.light_on_ground())[..., None]
+    if costume.ground == "paper":
+        if not costume.lamp:
+            image = paper
+        else:
+            usual = np.nan_to_num(renderer.light_on_ground(), nan=1.0)[..., None]
+            image = paper / np.maximum(usual, 0.05) * light
+    elif costume.ground == "checkers":
+        step = np.array([-0.25, 0.25]) / camera.pixels_per_metre
+        share = np.zeros(x.shape)
+        for dx in step:
+            for dy in step:
+                polar, azimuth = surface.angles(x + dx, y + dy)
+                side = costume.fields_rad
+                fields = np.floor(np.nan_to_num(polar) / side) + np.floor(
+                    np.nan_to_num(azimuth) / side
+                )
+                share += (fields % 2) / fine**2
+        first, second, _ = np.asarray(appearance.ground.colors)
+        image = (first + share[..., None] * (second - first)) * light
+    else:
+        image = paint_ground(appearance.ground) * light
+    plain = np.random.default_rng(costume.seed).random() < 0.4
+    beyond = BEYOND_COLOR if plain else paint_ground(appearance.surroundings)
+    return np.where(inside, image, beyond)
+
+
+def render_costume(
+    renderer: Renderer, scene: Scene, trajectory: Trajectory, costume: Costume
+) -> DressedWindow:
+    """Render the seen frames of a window in another look.
+
+    Parameters
+    ----------
+    trajectory
+        Of the seen frames alone.
+    """
+    appearance = costume.appearance
+    outfit = _Outfit(renderer, scene, costume)
+    frames = renderer.render_dressed(trajectory, outfit)
+    moving = [c for c in appearance.clutter if c.kind in ("hand", "cue", "shadow")]
+    if moving:
+        frames = np.stack([_with_clutter(f, moving, k) for k, f in enumerate(frames)])
+    if appearance.camera != CameraPose():
+        corner = np.broadcast_to(outfit.ground[0, 0], frames.shape[1:])
+        beyond = np.clip(255 * corner, 0, 255).astype(np.uint8, order="C")
+        mirrored = scene.scenario == "heightfield"
+        frames = posed_frames(frames, appearance.camera, beyond, mirrored=mirrored)
+    shake = np.asarray(appearance.sensor.shake)
+    frames = through_sensor(shaken(frames, shake), appearance.sensor)
+    return DressedWindow(frames, appearance.camera, shake)
+
+
+def _with_clutter(frame: np.ndarray, things: list[Clutter], index: int) -> np.ndarray:
+    image = frame.astype(np.float32) / 255
+    for thing in things:
+        paint_clutter(image, thing, clutter_mask(thing, index))
+    return np.clip(255 * image + 0.5, 0, 255).astype(np.uint8)
