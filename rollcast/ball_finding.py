@@ -96,6 +96,11 @@ def find_balls(
     return balls, said
 
 
+def by_motion(balls: Balls) -> np.ndarray:
+    """Index of the balls, those that most surely are there and move first."""
+    return np.argsort(-balls.scores * balls.moving, kind="stable")
+
+
 def votes_at(
     votes: Float[np.ndarray, "layers cells cells"], points: Float[np.ndarray, "balls 2"]
 ) -> Arrays:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
+from PIL import Image
 
 PATCH_SIZE = 32
 """Samples along a side of a patch."""
@@ -76,7 +77,7 @@ def cut_patches(
     at = box.pixels(centres)
     balls, count = centres.shape[:2]
     patches = np.empty((balls, count, PATCH_SIZE, 3, PATCH_SIZE), np.float32)
-    every = np.arange(count)[:, None, None]
+    every = np.arange(count, dtype=np.intp)[:, None, None]
     for ball, width in enumerate(widths.tolist()):
         half = width * box.side / 2
         columns, across = _weights(at[ball, :, 0], half, box.width)
@@ -109,20 +110,48 @@ def _weights(
 def letterboxed(
     frames: UInt8[np.ndarray, "frames height width 3"], size: int
 ) -> UInt8[np.ndarray, "frames size size 3"]:
-    """Shrink or enlarge frames into black squares.
+    """Shrink or enlarge frames into black squares; square ones of the size stay as they are.
 
-    Square frames of the wanted size are returned as they are.
+    Areas are averaged when shrinking, each source pixel by the share that is covered.
     """
     height, width = frames.shape[1:3]
     if height == width == size:
         return frames
-    from PIL import Image
-
     side = max(height, width)
-    inner = (max(round(width * size / side), 1), max(round(height * size / side), 1))
-    left, top = (size - inner[0]) // 2, (size - inner[1]) // 2
+    columns, rows = max(round(width * size / side), 1), max(round(height * size / side), 1)
+    left, top = (size - columns) // 2, (size - rows) // 2
     square = np.zeros((len(frames), size, size, 3), np.uint8)
-    for frame, picture in zip(square, frames, strict=True):
-        small = Image.fromarray(picture).resize(inner, Image.Resampling.BOX)
-        frame[top : top + inner[1], left : left + inner[0]] = np.asarray(small)
+    for inside, frame in zip(square, frames, strict=True):
+        inside[top : top + rows, left : left + columns] = _resized(frame, rows, columns)
     return square
+
+
+def _resized(
+    frame: UInt8[np.ndarray, "height width 3"], rows: int, columns: int
+) -> UInt8[np.ndarray, "rows columns 3"]:
+    picture = Image.fromarray(frame)
+    if rows > frame.shape[0] or columns > frame.shape[1]:
+        return np.asarray(picture.resize((columns, rows), Image.Resampling.BILINEAR))
+    # Whole pixels first: that is fast, and exact for squares of 128, 256, ... pixels.
+    factor = max(
+        frame.shape[0] // rows // 2 if frame.shape[0] % rows else frame.shape[0] // rows, 1
+    )
+    small = np.asarray(picture.reduce(factor) if factor > 1 else picture)
+    if small.shape[:2] == (rows, columns):
+        return small
+    edges = np.arange(rows + 1, dtype=float) * (frame.shape[0] / factor / rows)
+    averaged = _average_areas(small.astype(np.float32), edges)
+    edges = np.arange(columns + 1, dtype=float) * (frame.shape[1] / factor / columns)
+    averaged = _average_areas(averaged.swapaxes(0, 1), edges).swapaxes(0, 1)
+    return averaged.round().astype(np.uint8)
+
+
+def _average_areas(
+    pixels: Float32[np.ndarray, "source across 3"], edges: Float[np.ndarray, " edges"]
+) -> Float32[np.ndarray, "averages across 3"]:
+    """Average along the first axis between edges, by an interpolated running sum."""
+    sums = np.concatenate([np.zeros_like(pixels[:1], float), np.cumsum(pixels, 0, dtype=float)])
+    low = np.minimum(edges.astype(np.intp), len(pixels) - 1)
+    share = (edges - low)[:, None, None]
+    at = sums[low] + share * (sums[low + 1] - sums[low])
+    return (np.diff(at, axis=0) / np.diff(edges)[:, None, None]).astype(np.float32)

@@ -16,6 +16,9 @@ MAX_OBJECTS = len(COLORS)
 MAX_FORECAST_OBJECTS = 4
 """Of a forecast: footage of a user's own set-up may show one more than scenes."""
 
+MAX_BALLS = 8
+"""Of a forecast by a model for any number of balls."""
+
 Domain: TypeAlias = Literal["hemisphere", "ellipsoid", "heightfield", "footage"]
 """What a model knows: a simulated scenario, or footage of somebody's own set-up."""
 

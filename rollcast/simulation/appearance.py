@@ -342,10 +342,9 @@ def draw_sensor(generator: np.random.Generator, strength: float = 1.0) -> Sensor
     flicker = [around_one(0.08) for _ in range(4)] if happens(0.12) else [1.0] * 4
     size = generator.uniform(0.1, 1.2)
     shake = generator.normal(0, size, (3, 2)) if happens(0.25) else np.zeros((3, 2))
+    saturation = generator.uniform(0.3, 1.7) if happens(0.3) else 1.0
     if happens(0.1):
         saturation = 0.0
-    else:
-        saturation = generator.uniform(0.3, 1.7) if happens(0.3) else 1.0
     codec: Codec = "none"
     if happens(0.45):
         codec = "jpeg" if generator.random() < 0.65 else "video"

@@ -61,7 +61,7 @@ _Box = tuple[slice, slice]
 """Rows and columns of an image."""
 
 
-class Dress(Protocol):
+class Materials(Protocol):
     """Another look of a scene whose shape and motion stay as they are."""
 
     ground: Float[np.ndarray, "size size 3"]
@@ -134,26 +134,26 @@ class Renderer:
             ]
         )
 
-    def render_dressed(
-        self, trajectory: Trajectory, dress: Dress
+    def render_with(
+        self, trajectory: Trajectory, materials: Materials
     ) -> UInt8[np.ndarray, "frames size size 3"]:
         """Render every frame of a trajectory in another look."""
         states = zip(trajectory.positions_m, trajectory.orientations_xyzw, strict=True)
-        return np.stack([_levels(self._dressed_frame(*state, dress)) for state in states])
+        return np.stack([_levels(self._frame_with(*state, materials)) for state in states])
 
-    def _dressed_frame(
-        self, positions: np.ndarray, orientations: np.ndarray, dress: Dress
+    def _frame_with(
+        self, positions: np.ndarray, orientations: np.ndarray, materials: Materials
     ) -> np.ndarray:
-        image = dress.ground.copy()
+        image = materials.ground.copy()
         scale = self._camera.pixels_per_metre
         for position in positions:
             if self._scene.light_position_m is not None:
-                self._cast_shadow(image, position, dress.ambient)
+                self._cast_shadow(image, position, materials.ambient)
             else:
                 radius_px = self._scene.radius_m * scale
-                dress.cast_shadow(image, self._camera.project(position), radius_px)
+                materials.cast_shadow(image, self._camera.project(position), radius_px)
         for index in np.argsort(positions[:, 2]):
-            self._compose_ball(image, int(index), positions[index], orientations[index], dress)
+            self._compose_ball(image, int(index), positions[index], orientations[index], materials)
         return image
 
     def light_on_ground(self) -> Float[np.ndarray, "size size"]:
@@ -268,7 +268,7 @@ class Renderer:
         index: int,
         centre: np.ndarray,
         orientation: np.ndarray,
-        dress: Dress | None = None,
+        materials: Materials | None = None,
     ) -> _Box:
         radius = self._scene.radius_m
         scale = self._camera.pixels_per_metre
@@ -288,10 +288,10 @@ class Renderer:
         hidden = centre[2] + radius * normals[..., 2] < self._heights[box]
         coverage = np.where(hidden, 0, coverage)[..., None]
         color = None
-        if dress is not None:
+        if materials is not None:
             light = self._light_on(centre + radius * normals, normals)[..., None]
             turned = normals @ _rotation(orientation)
-            color = dress.ball_color(normals, turned, light, radius * scale)
+            color = materials.ball_color(normals, turned, light, radius * scale)
         if color is None:
             color = self._ball_color(index, normals, centre, orientation)
         image[box] += coverage * (color - image[box])

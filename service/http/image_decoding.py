@@ -18,6 +18,7 @@ from rollcast.schemas import MAX_FRAME_SIZE, MIN_FRAME_SIZE
 from service.errors import BrokenImageError, InvalidValueError, NotAnImageError
 
 SIDES = f"a square of {MIN_FRAME_SIZE} to {MAX_FRAME_SIZE} pixels a side"
+RECTANGLES = f"a picture of {MIN_FRAME_SIZE} to {MAX_FRAME_SIZE} pixels a side"
 DECODER_ERRORS = (
     EOFError,
     IndexError,
@@ -65,7 +66,26 @@ def decode_frames(
     return np.stack(frames), sides[0]
 
 
-def _open(data: bytes, field: str) -> ImageFile.ImageFile:
+def decode_rectangles(
+    images: Sequence[bytes], fields: Sequence[str]
+) -> UInt8[np.ndarray, "K height width 3"]:
+    """Decode the frames of one request at their own size, which need not be square.
+
+    Raises
+    ------
+    NotAnImageError, BrokenImageError, InvalidValueError
+        With the field at fault.
+    """
+    opened = [_open(data, f, square=False) for data, f in zip(images, fields, strict=True)]
+    # The pixels decide: a photo may be turned by what its header says.
+    frames = [np.asarray(_loaded(opened.pop(0), field)) for field in fields]
+    if len({frame.shape for frame in frames}) > 1:
+        sizes = ", ".join(f"{frame.shape[1]} x {frame.shape[0]}" for frame in frames)
+        raise InvalidValueError.at("frames", sizes, "frames of one size")
+    return np.stack(frames)
+
+
+def _open(data: bytes, field: str, *, square: bool = True) -> ImageFile.ImageFile:
     """Read the header alone. Pillow's own ``open`` would refuse large images without their size."""
     reader: type[ImageFile.ImageFile]
     if data.startswith(b"\x89PNG\r\n\x1a\n"):
@@ -83,19 +103,24 @@ def _open(data: bytes, field: str) -> ImageFile.ImageFile:
     except DECODER_ERRORS as error:
         raise BrokenImageError.at(field, data, "a whole image, its header is damaged") from error
     width, height = image.size
-    if width != height or not MIN_FRAME_SIZE <= width <= MAX_FRAME_SIZE:
-        raise InvalidValueError.at(field, f"{width} x {height}", SIDES)
+    in_range = all(MIN_FRAME_SIZE <= side <= MAX_FRAME_SIZE for side in image.size)
+    if not in_range or (square and width != height):
+        raise InvalidValueError.at(field, f"{width} x {height}", SIDES if square else RECTANGLES)
     return image
 
 
 def _load(image: ImageFile.ImageFile, field: str) -> UInt8[np.ndarray, "128 128 3"]:
+    return _to_network_size(_loaded(image, field))
+
+
+def _loaded(image: ImageFile.ImageFile, field: str) -> Image.Image:
     try:
         image.load()
         ImageOps.exif_transpose(image, in_place=True)
     except DECODER_ERRORS as error:
         value = f"{image.format} of {image.width} x {image.height}"
         raise BrokenImageError.at(field, value, "a whole image, this one is cut off") from error
-    return _to_network_size(_to_rgb(image))
+    return _to_rgb(image)
 
 
 def _to_rgb(image: Image.Image) -> Image.Image:

@@ -21,7 +21,7 @@ from rollcast.manifest import (
     MANIFEST_FILE,
     Manifest,
 )
-from service.inference.onnx_runtime import OnnxPredictor
+from service.inference.onnx_runtime import open_predictor as open_graphs
 from service.inference.rollout import Predictor, roll_out
 from service.serving.registry import Model, Registry
 
@@ -45,7 +45,7 @@ class Loader(Protocol):
 def load_registry(
     models_dir: Path,
     name: str | None = None,
-    open_predictor: PredictorFactory = OnnxPredictor,
+    open_predictor: PredictorFactory = open_graphs,
     proves: tuple[int, int] = (0, 1),
 ) -> Registry:
     """Load every ``NAME/VERSION`` under a folder; one that is refused does not stop the others.

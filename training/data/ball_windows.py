@@ -1,6 +1,6 @@
 """Windows that teach a perception of any number of balls: every ball that is seen is known.
 
-A third kind beside the paper's scenes and their other looks are flat worlds, of which only the
+A third kind beside the paper's scenes and their other looks are planar scenes, of which only the
 places in the seen frames are known and that their ground is level.
 """
 
@@ -25,8 +25,8 @@ from training.data.windows import MAX_HORIZON, SceneTargets, Window, WindowMaker
 from training.networks.perception import measures_of
 from training.painting.camera import posed_ground, posed_points, shaken
 from training.painting.clutter import clutter_mask
-from training.painting.dressed import draw_costume, render_costume
-from training.painting.flat import draw_flat_world, paint_flat_world
+from training.painting.planar import draw_planar_scene, paint_planar_scene
+from training.painting.restyled import draw_restyling, render_restyled
 from training.painting.sensor import through_sensor
 
 HALF = NETWORK_FRAME_SIZE / 2
@@ -34,8 +34,8 @@ STEPS = FIRST_FORECAST_FRAME + MAX_HORIZON
 LEAST_WAY_PX = 0.3
 """Way over the seen frames from which on a ball moves."""
 
-Kind = Literal["paper", "filmed", "dressed", "flat"]
-KINDS: tuple[Kind, ...] = ("paper", "filmed", "dressed", "flat")
+Kind = Literal["paper", "filmed", "restyled", "planar"]
+KINDS: tuple[Kind, ...] = ("paper", "filmed", "restyled", "planar")
 
 
 @dataclass(frozen=True)
@@ -44,15 +44,15 @@ class BallLooks:
 
     Attributes
     ----------
-    paper, filmed, dressed, flat
+    paper, filmed, restyled, planar
         Windows of the paper's scenes as they are, through another camera's sensor, in other looks
-        altogether, and of flat worlds.
+        altogether, and of planar scenes.
     """
 
     paper: float = 0.25
     filmed: float = 0.1
-    dressed: float = 0.25
-    flat: float = 0.4
+    restyled: float = 0.25
+    planar: float = 0.4
 
 
 class BallWindowMaker:
@@ -74,8 +74,8 @@ class BallWindowMaker:
         """Draw a window of a random scene."""
         index = int(generator.integers(self.scenes))
         start = int(generator.integers(latest_start + 1))
-        if kind == "dressed":
-            return self._dressed(generator, index, start)
+        if kind == "restyled":
+            return self._restyled(generator, index, start)
         window = self.at(index, start)
         return filmed(generator, window) if kind == "filmed" else window
 
@@ -86,14 +86,14 @@ class BallWindowMaker:
         radius = scene.radius_m / camera_for(scene.scenario, NETWORK_FRAME_SIZE).half_width_m
         return _known(window, radius, np.zeros((OBSERVED_FRAMES, 2)))
 
-    def _dressed(self, generator: np.random.Generator, index: int, start: int) -> BallWindow:
+    def _restyled(self, generator: np.random.Generator, index: int, start: int) -> BallWindow:
         recording = self._maker.recording(index)
         scene = recording.scene
         camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
         seen = recording.trajectory.window(start, OBSERVED_FRAMES)
         path = camera.project(seen.positions_m).swapaxes(0, 1).reshape(-1, 2)
-        costume = draw_costume(generator, scene, path)
-        shown = render_costume(self._maker.renderer(index), scene, seen, costume)
+        style = draw_restyling(generator, scene, path)
+        shown = render_restyled(self._maker.renderer(index), scene, seen, style)
         window = self._maker.window(index, start, MAX_HORIZON, seen=False)
         still = np.zeros((OBSERVED_FRAMES, 2))
         known = _known(window, scene.radius_m / camera.half_width_m, still)
@@ -103,9 +103,9 @@ class BallWindowMaker:
         if shown.pose != CameraPose() and scene.scenario == "heightfield":
             # Its walls are no longer where the frame ends.
             known.centres[:, OBSERVED_FRAMES:] = np.nan
-        over = _over(costume.appearance.clutter)
+        over = _over(style.appearance.clutter)
         room = MOST_BALLS - len(known.radii)
-        for _, at, size in costume.resting[:room]:
+        for _, at, size in style.resting[:room]:
             place = (posed_points(np.array(at), shown.pose) - HALF) / HALF
             visible = [_visible(over, frame, at, size) for frame in range(OBSERVED_FRAMES)]
             known = _with_resting(
@@ -148,13 +148,13 @@ def filmed(generator: np.random.Generator, window: BallWindow) -> BallWindow:
     return window._replace(frames=frames, places=window.places + shake / HALF)
 
 
-def flat_window(generator: np.random.Generator) -> BallWindow:
-    """Draw and paint a flat world of one to eight balls."""
-    world = draw_flat_world(generator, prompted=True)
-    painted = paint_flat_world(world)
-    paths = np.array([ball.path for ball in world.balls])
-    radii = np.array([ball.radius for ball in world.balls])
-    over = _over(world.appearance.clutter)
+def planar_window(generator: np.random.Generator) -> BallWindow:
+    """Draw and paint a planar scene of one to eight balls."""
+    scene = draw_planar_scene(generator, prompted=True)
+    painted = paint_planar_scene(scene)
+    paths = np.array([ball.path for ball in scene.balls])
+    radii = np.array([ball.radius for ball in scene.balls])
+    over = _over(scene.appearance.clutter)
     centres = np.full((len(paths), STEPS, 3), np.nan)
     centres[:, :OBSERVED_FRAMES, :2] = paths / HALF - 1
     ground = np.zeros((3, MAP_CELLS, MAP_CELLS))
@@ -275,7 +275,7 @@ class BallStream(IterableDataset[BallBatch]):
     Parameters
     ----------
     sources
-        Simulated scenes; those with several balls are dressed alike.
+        Simulated scenes; those with several balls are restyled alike.
     """
 
     def __init__(
@@ -305,10 +305,10 @@ class BallStream(IterableDataset[BallBatch]):
     def draw(self, generator: np.random.Generator) -> BallWindow:
         """Draw a window."""
         looks = self._looks
-        shares = np.array([looks.paper, looks.filmed, looks.dressed, looks.flat])
+        shares = np.array([looks.paper, looks.filmed, looks.restyled, looks.planar])
         kind = KINDS[generator.choice(len(KINDS), p=shares / shares.sum())]
-        if kind == "flat":
-            return flat_window(generator)
+        if kind == "planar":
+            return planar_window(generator)
         shares = np.array([source.share for source in self._sources])
         source = self._sources[generator.choice(len(shares), p=shares / shares.sum())]
         window = source.maker.window(generator, kind, source.latest_start)

@@ -7,10 +7,13 @@ import torch
 from jaxtyping import Float, UInt8
 from scipy.optimize import linear_sum_assignment
 
-from rollcast.ball_finding import Arrays, Balls, find_balls
+from rollcast.ball_finding import Arrays, Balls, by_motion, find_balls
 from rollcast.camera import NETWORK_FRAME_SIZE
+from training.data.windows import Window
+from training.evaluation.evaluate import EvaluationSet, Shown
 from training.networks.any_ball import AnyBallNet, Seen
 from training.networks.ball_detector import peaks
+from training.objectives.metrics import Forecasts, beside_truth
 
 HALF = NETWORK_FRAME_SIZE / 2
 
@@ -86,30 +89,36 @@ def matched(found: Float[np.ndarray, "found 2"], truth: Float[np.ndarray, "balls
     return index
 
 
-def scene_errors(
-    finder: TorchFinder,
-    windows: Sequence[tuple[np.ndarray, np.ndarray]],
-    horizon: int,
-    *,
-    prompted: bool = False,
-) -> Mapping[str, np.ndarray]:
-    """Errors in px of windows (frames, true positions [N, T, 2]) whose balls all move.
+def forecast_sets(
+    finder: TorchFinder, sets: Sequence[EvaluationSet[Shown]]
+) -> Mapping[Shown, Forecasts]:
+    """Forecast the balls that move in every window up to T_gen, each beside the truth it is of."""
+    return {part.scenario: forecast_windows(finder, part.windows, part.horizon) for part in sets}
 
-    Balls that were not found count as lost and as far off as the middle of the frame.
+
+def forecast_windows(finder: TorchFinder, windows: Sequence[Window], horizon: int) -> Forecasts:
+    """Forecast windows of as many balls each, all of which move.
+
+    A ball that was not found is forecast to be in the middle of the frame, very unsurely.
     """
-    errors: list[np.ndarray] = []
-    lost = 0
-    for frames, truth in windows:
-        prompts = (truth[:, 0] - HALF) / HALF if prompted else None
-        balls, said = finder.find(frames, prompts)
-        if not prompted:
-            order = np.argsort(-balls.scores * balls.moving, kind="stable")
-            balls = balls.taken(order[: len(truth)])
-        made = finder.forecast(balls, said, horizon)["positions"]
-        index = matched(made[:, 0], truth[:, 0])
-        for ball, one in enumerate(index.tolist()):
-            way = made[one] if one >= 0 else np.full((horizon, 2), HALF)
-            off = np.linalg.norm(way - truth[ball, :horizon], axis=-1)
-            lost += int(off[0] > 5)
-            errors.append(off)
-    return {"errors": np.array(errors), "lost": np.array(lost)}
+    rows = [_forecast_one(finder, window, horizon) for window in windows]
+    positions, covariances, spins = (np.stack(parts) for parts in zip(*rows, strict=True))
+    return beside_truth(windows, positions, covariances, spins)
+
+
+def _forecast_one(
+    finder: TorchFinder, window: Window, horizon: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    count = len(window.positions)
+    balls, said = finder.find(window.frames)
+    balls = balls.taken(by_motion(balls)[:count])
+    made = finder.forecast(balls, said, horizon)
+    index = matched(made["positions"][:, 0], window.positions[:, 0])
+    positions = np.full((count, horizon, 2), HALF, np.float32)
+    covariances = np.tile(np.float32(HALF**2) * np.eye(2, dtype=np.float32), (count, horizon, 1, 1))
+    spins = np.zeros((count, horizon, 3), np.float32)
+    found = index >= 0
+    positions[found] = made["positions"][index[found]]
+    covariances[found] = made["covariances"][index[found]]
+    spins[found] = made["angular_velocities"][index[found]]
+    return positions, covariances, spins

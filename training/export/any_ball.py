@@ -216,7 +216,8 @@ class BallGraphs:
         for _ in range(horizon - 1):
             values = self._step.run(names, dict(zip(STATE_NAMES, state, strict=True)))
             state = values[: len(STATE_NAMES)]
-            rows.append(tuple(values[len(STATE_NAMES) :]))
+            positions, covariances, spins = values[len(STATE_NAMES) :]
+            rows.append((positions, covariances, spins))
         stacked = (np.stack(parts, axis=2)[0] for parts in zip(*rows, strict=True))
         return dict(zip(OUTPUTS, stacked, strict=True))
 

@@ -95,15 +95,13 @@ class BallPerception(nn.Module):
         frames_BKHW3
             Square frames of any size.
         """
-        assert passes > 0
-        for _ in range(passes):
-            # What is seen is what learns, not the way to a better patch.
-            widths = half_widths(radii_BN.detach())
-            places_BNK2 = places_BNK2.detach()
-            patches = cut_patches(frames_BKHW3, places_BNK2, widths)
-            found = self.seen(patches, places_BNK2, widths)
-            places_BNK2, radii_BN = found.rough, found.radii
-        return found
+        # What is seen is what learns, not the way to a better patch.
+        widths, places_BNK2 = half_widths(radii_BN.detach()), places_BNK2.detach()
+        patches = cut_patches(frames_BKHW3, places_BNK2, widths)
+        seen = self.seen(patches, places_BNK2, widths)
+        if passes == 1:
+            return seen
+        return self.refine(frames_BKHW3, seen.rough, seen.radii, passes - 1)
 
     def seen(self, patches_BNK3PP: Tensor, places_BNK2: Tensor, widths_BN: Tensor) -> Seen:
         """Return what patches around places show."""

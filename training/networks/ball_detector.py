@@ -75,10 +75,10 @@ class BallDetector(FirstLook):
         )
         last = self.said[-1]
         assert isinstance(last, nn.Conv2d)
+        assert last.bias is not None
         nn.init.normal_(last.weight, std=1e-3)
-        with torch.no_grad():
-            last.bias.zero_()
-            last.bias[0] = _RARE
+        nn.init.zeros_(last.bias)
+        nn.init.constant_(last.bias[:1], _RARE)
         self.register_buffer("cells", cell_centres(MAP_CELLS), persistent=False)
 
     def maps(self, frames_BKHW3: Tensor) -> BallMaps:

@@ -64,7 +64,7 @@ def _hand(
     size: float,
     generator: np.random.Generator,
 ) -> None:
-    """An arm from beyond the border, a palm, some fingers around the tip."""
+    """Draw an arm from beyond the border, a palm and some fingers around the tip."""
     palm = tip + inwards * size
     width = max(size * generator.uniform(0.5, 1.0), 2)
     aside = np.array([-inwards[1], inwards[0]])

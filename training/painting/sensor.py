@@ -91,7 +91,7 @@ def _tones(frame: np.ndarray, sensor: Sensor, flicker: float) -> np.ndarray:
 
 @functools.cache
 def _noise_bank() -> Float[np.ndarray, "side side 3"]:
-    """Unit noise to cut pieces from: drawing it anew would cost more than all else."""
+    """Return unit noise to cut pieces from: drawing it anew would cost more than all else."""
     shape = (_NOISE_SIDE, _NOISE_SIDE, 3)
     return np.random.default_rng(0).standard_normal(shape, dtype=np.float32)
 

@@ -1,7 +1,6 @@
 """The network for any number of balls: what it begins with, and what it is trained on."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -26,7 +25,7 @@ ANY_BALL_DATA = (
     DataShare(Source("ellipsoid", 2), 500, 0.17, 200),
     DataShare(Source("ellipsoid", 3), 400, 0.17, 200),
 )
-"""Scenes of one, two and three balls; flat worlds have up to eight."""
+"""Scenes of one, two and three balls; planar scenes have up to eight."""
 
 
 def ball_sources(
@@ -70,12 +69,3 @@ def warm_network(one_ball: Mapping[str, Tensor], several: Mapping[str, Tensor]) 
     taken |= {name: value for name, value in several.items() if "encounters" in name}
     network.load_state_dict(own | taken)
     return network
-
-
-def read_models(models: Path) -> AnyBallNet:
-    """Begin with the committed models of a folder."""
-    from training.export.load import read_parameters
-
-    return warm_network(
-        read_parameters(models / "fieldnet" / "1"), read_parameters(models / "fieldnet-3" / "1")
-    )

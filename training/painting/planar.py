@@ -1,11 +1,11 @@
-"""Flat worlds: balls that move freely over a plane, to teach seeing alone.
+"""Planar scenes: balls that move freely over a plane, to teach seeing alone.
 
 Only places in the four seen frames are known. Nothing is known of a ground, of heights or of what
 comes after, so those parts of the truth are NaN and cost nothing (``training/losses.py``).
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from jaxtyping import Float, UInt8
 from rollcast.simulation.appearance import (
     Appearance,
     BallLook,
+    Clutter,
     draw_appearance,
     draw_ball,
     mean_color,
@@ -43,8 +44,8 @@ _TRIES = 30
 
 
 @dataclass(frozen=True)
-class FlatBall:
-    """A ball of a flat world."""
+class PlanarBall:
+    """A ball of a planar scene."""
 
     look: BallLook
     radius: float
@@ -61,16 +62,16 @@ class FlatBall:
 
 
 @dataclass(frozen=True)
-class FlatWorld:
-    """What one flat window shows. The first ball is the one that is meant."""
+class PlanarScene:
+    """What one such window shows. The first ball is the one that is meant."""
 
     appearance: Appearance
-    balls: tuple[FlatBall, ...]
+    balls: tuple[PlanarBall, ...]
     seed: int
     """Of orientations."""
 
 
-class FlatWindow(NamedTuple):
+class PlanarWindow(NamedTuple):
     """Frames with the places of the meant ball."""
 
     frames: UInt8[np.ndarray, "frames size size 3"]
@@ -80,8 +81,8 @@ class FlatWindow(NamedTuple):
     """Shift of the picture, none in the last frame."""
 
 
-def draw_flat_world(generator: np.random.Generator, *, prompted: bool) -> FlatWorld:
-    """Draw a flat world.
+def draw_planar_scene(generator: np.random.Generator, *, prompted: bool) -> PlanarScene:
+    """Draw a planar scene.
 
     Parameters
     ----------
@@ -93,7 +94,7 @@ def draw_flat_world(generator: np.random.Generator, *, prompted: bool) -> FlatWo
     count = int(generator.choice([1, 2, 3, 5, MOST_BALLS], p=[0.3, 0.2, 0.2, 0.15, 0.15]))
     radius = _draw_radius(generator)
     rests = generator.random() < (0.25 if prompted else 0.25 * (count == 1))
-    meant = FlatBall(
+    meant = PlanarBall(
         appearance.ball,
         radius,
         _draw_path(generator, radius, rests=rests),
@@ -105,7 +106,7 @@ def draw_flat_world(generator: np.random.Generator, *, prompted: bool) -> FlatWo
         other = _draw_other(generator, appearance, balls, alike=alike, moving=prompted)
         if other is not None:
             balls.append(other)
-    return FlatWorld(appearance, tuple(balls), int(generator.integers(2**31)))
+    return PlanarScene(appearance, tuple(balls), int(generator.integers(2**31)))
 
 
 def _draw_radius(generator: np.random.Generator) -> float:
@@ -160,11 +161,11 @@ def _bounce(generator: np.random.Generator) -> np.ndarray:
 def _draw_other(
     generator: np.random.Generator,
     appearance: Appearance,
-    balls: list[FlatBall],
+    balls: list[PlanarBall],
     *,
     alike: bool,
     moving: bool,
-) -> FlatBall | None:
+) -> PlanarBall | None:
     """Draw a ball that overlaps none of the others in any frame; None when there is no room."""
     meant = balls[0]
     look = meant.look
@@ -187,21 +188,21 @@ def _draw_other(
         ]
         if min(gaps) > 0:
             places = tuple((float(x), float(y)) for x, y in path)
-            return FlatBall(look, radius, places, generator.random() < 0.7)
+            return PlanarBall(look, radius, places, generator.random() < 0.7)
     return None
 
 
-def paint_flat_world(world: FlatWorld) -> FlatWindow:
-    """Paint the four frames of a flat world."""
-    appearance = world.appearance
+def paint_planar_scene(scene: PlanarScene) -> PlanarWindow:
+    """Paint the four frames of a planar scene."""
+    appearance = scene.appearance
     sensor, lamp = appearance.sensor, appearance.lamp
-    generator = np.random.default_rng(world.seed)
+    generator = np.random.default_rng(scene.seed)
     empty = _lit_ground(appearance, generator)
-    moving = _with_clutter(empty, world)
-    painters = [BallPainter(ball.look) for ball in world.balls]
-    turns = [random_rotation(generator) for _ in world.balls]
-    pairs = list(zip(world.balls, painters, turns, strict=True))
-    for ball, painter, turn in pairs:
+    moving = _with_clutter(empty, scene)
+    painters = [BallPainter(ball.look) for ball in scene.balls]
+    turns = [random_rotation(generator) for _ in scene.balls]
+    pairs = list(zip(scene.balls, painters, turns, strict=True))
+    for ball in scene.balls:
         if not ball.moves:
             cast_soft_shadow(empty, np.asarray(ball.path[0]), ball.radius, lamp)
     for ball, painter, turn in pairs:
@@ -218,7 +219,7 @@ def paint_flat_world(world: FlatWorld) -> FlatWindow:
         frames.append(np.clip(255 * image + 0.5, 0, 255).astype(np.uint8))
     shake = np.asarray(sensor.shake)
     shown = through_sensor(shaken(np.stack(frames), shake), sensor)
-    return FlatWindow(shown, np.asarray(world.balls[0].path), shake)
+    return PlanarWindow(shown, np.asarray(scene.balls[0].path), shake)
 
 
 def _lit_ground(appearance: Appearance, generator: np.random.Generator) -> np.ndarray:
@@ -250,19 +251,19 @@ def _region(generator: np.random.Generator) -> Float[np.ndarray, "size size"]:
     return np.clip(np.minimum(half[0] - u, half[1] - v) + 0.5, 0, 1)
 
 
-def _with_clutter(empty: np.ndarray, world: FlatWorld) -> list:
+def _with_clutter(empty: np.ndarray, scene: PlanarScene) -> list[Clutter]:
     """Paint what rests onto the ground; return what is painted over the balls, frame by frame."""
-    over = []
-    for thing in world.appearance.clutter:
+    over: list[Clutter] = []
+    for thing in scene.appearance.clutter:
         if thing.kind in ("hand", "cue", "shadow"):
-            if thing.kind == "shadow" or not _hides(thing, world.balls[0]):
+            if thing.kind == "shadow" or not _hides(thing, scene.balls[0]):
                 over.append(thing)
         else:
             paint_clutter(empty, thing, clutter_mask(thing, OBSERVED_FRAMES - 1))
     return over
 
 
-def _hides(thing, ball: FlatBall) -> bool:
+def _hides(thing: Clutter, ball: PlanarBall) -> bool:
     """Whether a thing covers more than a little of a ball in any frame."""
     along = np.arange(SIZE) + 0.5
     for frame, (x, y) in enumerate(ball.path):
@@ -274,7 +275,7 @@ def _hides(thing, ball: FlatBall) -> bool:
 
 def _paint_moving(
     image: np.ndarray,
-    ball: FlatBall,
+    ball: PlanarBall,
     painter: BallPainter,
     turn: np.ndarray,
     appearance: Appearance,
@@ -294,9 +295,3 @@ def _paint_moving(
     cast_soft_shadow(image, path[frame], ball.radius, appearance.lamp)
     smear = shutter * step if shutter * float(np.hypot(*step)) > 0.3 else None
     paint_ball(image, painter, path[frame], ball.radius, turn, appearance.lamp, smear)
-
-
-def resting(world: FlatWorld) -> FlatWorld:
-    """Return the same world with nothing moving, shaking or flickering."""
-    balls = tuple(replace(ball, path=(ball.path[-1],) * OBSERVED_FRAMES) for ball in world.balls)
-    return replace(world, balls=balls)

@@ -39,7 +39,7 @@ _TRIES = 10
 
 
 @dataclass(frozen=True)
-class Costume:
+class Restyling:
     """How one window of a scene of the paper's looks.
 
     Attributes
@@ -68,7 +68,7 @@ class Costume:
     seed: int
 
 
-class DressedWindow(NamedTuple):
+class RestyledWindow(NamedTuple):
     """Frames with what the camera did to the places of things in them."""
 
     frames: UInt8[np.ndarray, "frames size size 3"]
@@ -77,11 +77,11 @@ class DressedWindow(NamedTuple):
     """Shift of the picture, none in the last frame."""
 
 
-def draw_costume(
+def draw_restyling(
     generator: np.random.Generator,
     scene: Scene,
     path_px: Float[np.ndarray, "frames 2"],
-) -> Costume:
+) -> Restyling:
     """Draw the look of a window of a scene with one ball.
 
     Parameters
@@ -108,7 +108,7 @@ def draw_costume(
         camera=_visible_pose(appearance.camera, path_px, heightfield=heightfield),
         clutter=tuple(c for c in appearance.clutter if not _hides(c, path_px, radius)),
     )
-    return Costume(
+    return Restyling(
         appearance, ball, ground,
         fields_rad=math.pi / generator.uniform(4, 20),
         lamp=not heightfield and generator.random() < 0.5,
@@ -145,18 +145,18 @@ def _hides(thing: Clutter, path_px: np.ndarray, radius: float) -> bool:
     return False
 
 
-class _Outfit:
-    """What :class:`rollcast.simulation.rendering.Dress` asks for."""
+class _SceneMaterials:
+    """What :class:`rollcast.simulation.rendering.Materials` asks for."""
 
-    def __init__(self, renderer: Renderer, scene: Scene, costume: Costume) -> None:
-        self._costume = costume
-        self._lamp = costume.appearance.lamp
-        self._painter = None if costume.ball is None else BallPainter(costume.ball)
-        self.ground, self.ambient = _dressed_ground(renderer, scene, costume)
+    def __init__(self, renderer: Renderer, scene: Scene, style: Restyling) -> None:
+        self._style = style
+        self._lamp = style.appearance.lamp
+        self._painter = None if style.ball is None else BallPainter(style.ball)
+        self.ground, self.ambient = _restyled_ground(renderer, scene, style)
 
     def cast_shadow(self, image: np.ndarray, centre_px: np.ndarray, radius_px: float) -> None:
         """Darken the ground where the lamp does not reach."""
-        if self._costume.lamp:
+        if self._style.lamp:
             cast_soft_shadow(image, centre_px, radius_px, self._lamp)
 
     def ball_color(
@@ -165,7 +165,7 @@ class _Outfit:
         """Colours of the ball's points."""
         if self._painter is None:
             return None
-        if self._costume.lamp:
+        if self._style.lamp:
             # A lamp's axes are the image's: y down.
             seen = normals * np.array([1, -1, 1])
             return self._painter.lit(seen, body_normals, self._lamp, sharpness)
@@ -178,27 +178,27 @@ class _Outfit:
         return colors + look.gloss * highlight
 
 
-def _dressed_ground(
-    renderer: Renderer, scene: Scene, costume: Costume
+def _restyled_ground(
+    renderer: Renderer, scene: Scene, style: Restyling
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lit ground without balls, and in full shadow of the area light."""
-    appearance = costume.appearance
+    appearance = style.appearance
     paper = renderer.empty.astype(np.float32) / 255
     if scene.scenario == "heightfield":
         albedo = np.broadcast_to(GROUND_COLOR.astype(np.float32), paper.shape)
-        if costume.ground == "painted":
+        if style.ground == "painted":
             albedo = paint_ground(appearance.ground)
         image = albedo * (paper / GROUND_COLOR.astype(np.float32))
         ambient = AMBIENT_ON_HEIGHTFIELD * albedo
     else:
-        image = _bowl(renderer, scene, costume, paper)
+        image = _bowl(renderer, scene, style, paper)
         ambient = image
     image = np.ascontiguousarray(image, dtype=np.float32)
-    generator = np.random.default_rng(costume.seed)
+    generator = np.random.default_rng(style.seed)
     for thing in appearance.clutter:
         if thing.kind not in ("hand", "cue", "shadow"):
             paint_clutter(image, thing, clutter_mask(thing, OBSERVED_FRAMES - 1))
-    for look, at, radius in costume.resting:
+    for look, at, radius in style.resting:
         lamp = appearance.lamp
         cast_soft_shadow(image, np.asarray(at), radius, lamp)
         turn = random_rotation(generator)
@@ -206,8 +206,8 @@ def _dressed_ground(
     return image, np.asarray(ambient, dtype=np.float32)
 
 
-def _bowl(renderer: Renderer, scene: Scene, costume: Costume, paper: np.ndarray) -> np.ndarray:
-    appearance = costume.appearance
+def _bowl(renderer: Renderer, scene: Scene, style: Restyling, paper: np.ndarray) -> np.ndarray:
+    appearance = style.appearance
     fine = 2
     camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
     surface = surface_of(scene)
@@ -215,26 +215,26 @@ def _bowl(renderer: Renderer, scene: Scene, costume: Costume, paper: np.ndarray)
     x, y = camera.pixel_centres_m()
     z, normals = surface.height_and_normal(x, y)
     inside = (~np.isnan(z))[..., None]
-    if costume.lamp:
+    if style.lamp:
         lamp = appearance.lamp
         towards = np.asarray(lamp.direction) * (1, -1, 1)
         facing = np.maximum(np.nan_to_num(normals) @ towards, 0)
         light = (lamp.ambient + (1 - lamp.ambient) * facing)[..., None]
     else:
         light = np.nan_to_num(renderer.light_on_ground())[..., None]
-    if costume.ground == "paper":
-        if not costume.lamp:
+    if style.ground == "paper":
+        if not style.lamp:
             image = paper
         else:
             usual = np.nan_to_num(renderer.light_on_ground(), nan=1.0)[..., None]
             image = paper / np.maximum(usual, 0.05) * light
-    elif costume.ground == "checkers":
+    elif style.ground == "checkers":
         step = np.array([-0.25, 0.25]) / camera.pixels_per_metre
         share = np.zeros(x.shape)
         for dx in step:
             for dy in step:
                 polar, azimuth = surface.angles(x + dx, y + dy)
-                side = costume.fields_rad
+                side = style.fields_rad
                 fields = np.floor(np.nan_to_num(polar) / side) + np.floor(
                     np.nan_to_num(azimuth) / side
                 )
@@ -243,14 +243,14 @@ def _bowl(renderer: Renderer, scene: Scene, costume: Costume, paper: np.ndarray)
         image = (first + share[..., None] * (second - first)) * light
     else:
         image = paint_ground(appearance.ground) * light
-    plain = np.random.default_rng(costume.seed).random() < 0.4
+    plain = np.random.default_rng(style.seed).random() < 0.4
     beyond = BEYOND_COLOR if plain else paint_ground(appearance.surroundings)
     return np.where(inside, image, beyond)
 
 
-def render_costume(
-    renderer: Renderer, scene: Scene, trajectory: Trajectory, costume: Costume
-) -> DressedWindow:
+def render_restyled(
+    renderer: Renderer, scene: Scene, trajectory: Trajectory, style: Restyling
+) -> RestyledWindow:
     """Render the seen frames of a window in another look.
 
     Parameters
@@ -258,20 +258,20 @@ def render_costume(
     trajectory
         Of the seen frames alone.
     """
-    appearance = costume.appearance
-    outfit = _Outfit(renderer, scene, costume)
-    frames = renderer.render_dressed(trajectory, outfit)
+    appearance = style.appearance
+    materials = _SceneMaterials(renderer, scene, style)
+    frames = renderer.render_with(trajectory, materials)
     moving = [c for c in appearance.clutter if c.kind in ("hand", "cue", "shadow")]
     if moving:
         frames = np.stack([_with_clutter(f, moving, k) for k, f in enumerate(frames)])
     if appearance.camera != CameraPose():
-        corner = np.broadcast_to(outfit.ground[0, 0], frames.shape[1:])
+        corner = np.broadcast_to(materials.ground[0, 0], frames.shape[1:])
         beyond = np.clip(255 * corner, 0, 255).astype(np.uint8, order="C")
         mirrored = scene.scenario == "heightfield"
         frames = posed_frames(frames, appearance.camera, beyond, mirrored=mirrored)
     shake = np.asarray(appearance.sensor.shake)
     frames = through_sensor(shaken(frames, shake), appearance.sensor)
-    return DressedWindow(frames, appearance.camera, shake)
+    return RestyledWindow(frames, appearance.camera, shake)
 
 
 def _with_clutter(frame: np.ndarray, things: list[Clutter], index: int) -> np.ndarray:
