@@ -14,6 +14,7 @@ from rollcast.trajectory import OBSERVED_FRAMES
 from training.common.precision import mixed_precision
 from training.data.ball_batch import BallBatch
 from training.data.ball_windows import BallStream
+from training.engine.trainer import warmed_average
 from training.networks.any_ball import AnyBallNet
 from training.networks.ball_detector import PIXEL, BallMaps, peaks, voted
 from training.networks.patches import half_widths
@@ -46,6 +47,16 @@ class BallTraining:
     average_decay: float = 0.998
     seed: int = 1
     frozen: tuple[str, ...] = ("rolling.", "first_doubt.", "unsure.")
+    fresh: tuple[str, ...] = (
+        "eye.detector.said.",
+        "eye.refiner.registration.",
+        "eye.refiner.weighing.",
+        "eye.refiner.looks.",
+        "eye.refiner.sigmas.",
+    )
+    """Parts that begin with nothing learned."""
+    fresh_rate: float = 3.0
+    """Of their learning, relative to everything else's."""
 
 
 class BallTrainer:
@@ -56,16 +67,20 @@ class BallTrainer:
         self.network = network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self.training = training
         self.folder = folder
-        learned = [p for n, p in network.named_parameters() if not n.startswith(training.frozen)]
-        self._learned = learned
+        groups: dict[float, list[torch.nn.Parameter]] = {1.0: [], training.fresh_rate: []}
+        for name, parameter in network.named_parameters():
+            if not name.startswith(training.frozen):
+                fresh = name.startswith(training.fresh)
+                groups[training.fresh_rate if fresh else 1.0].append(parameter)
+        self._learned = [parameter for group in groups.values() for parameter in group]
         self._optimiser = torch.optim.AdamW(
-            learned, training.learning_rate, betas=(0.9, 0.95), weight_decay=0.01
+            [{"params": group, "share": share} for share, group in groups.items()],
+            training.learning_rate,
+            betas=(0.9, 0.95),
+            weight_decay=0.01,
         )
-        decay = training.average_decay
         self.average = torch.optim.swa_utils.AveragedModel(
-            network,
-            multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(decay),
-            use_buffers=False,
+            network, multi_avg_fn=warmed_average(training.average_decay)
         )
         self._detection, self._refinement = DetectionLoss(), RefinementLoss()
         self.batches = 0
@@ -96,7 +111,7 @@ class BallTrainer:
         rate = min((self.batches + 1) / training.warm_up, 1.0)
         rate *= 0.02 + 0.98 * 0.5 * (1 + torch.cos(torch.tensor(torch.pi * spent)).item())
         for group in self._optimiser.param_groups:
-            group["lr"] = rate * training.learning_rate
+            group["lr"] = rate * training.learning_rate * group["share"]
         parts = self.losses(batch)
         loss = torch.stack(list(parts.values())).sum()
         self._optimiser.zero_grad(set_to_none=True)
