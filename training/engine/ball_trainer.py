@@ -8,12 +8,11 @@ from pathlib import Path
 
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, IterableDataset
 
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.common.precision import mixed_precision
 from training.data.ball_batch import BallBatch
-from training.data.ball_windows import BallStream
 from training.engine.trainer import warmed_average
 from training.networks.any_ball import AnyBallNet
 from training.networks.ball_detector import PIXEL, BallMaps, peaks, voted
@@ -48,7 +47,7 @@ class BallTraining:
     seed: int = 1
     frozen: tuple[str, ...] = ("rolling.", "first_doubt.", "unsure.")
     fresh: tuple[str, ...] = (
-        "eye.detector.said.",
+        "eye.detector.said",
         "eye.refiner.registration.",
         "eye.refiner.weighing.",
         "eye.refiner.looks.",
@@ -86,10 +85,13 @@ class BallTrainer:
         self.batches = 0
         self._saved = time.monotonic()
 
-    def run(self, stream: BallStream, workers: int, report_every: int = 100) -> Iterator[int]:
+    def run(
+        self, stream: IterableDataset[BallBatch], workers: int, report_every: int = 100
+    ) -> Iterator[int]:
         """Train to the end of the budget; yields after every report, for others to look in."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        loader = DataLoader(stream, batch_size=None, num_workers=workers, prefetch_factor=4)
+        ahead = 4 if workers else None
+        loader = DataLoader(stream, batch_size=None, num_workers=workers, prefetch_factor=ahead)
         sums: dict[str, float] = {}
         began = time.monotonic()
         for batch in loader:

@@ -65,14 +65,12 @@ class BallDetector(FirstLook):
 
     def __init__(self) -> None:
         super().__init__(objects=1)
-        del self.where
-        fine, hidden = 48, 48
-        self.said = nn.Sequential(
-            nn.ReLU(),
-            nn.Conv2d(fine, hidden, 3, padding=1),
-            nn.ReLU(),
-            nn.Conv2d(hidden, 3 + 2 * OBSERVED_FRAMES, 1),
-        )
+        fine, middle, hidden = 48, 96, 48
+        # Where one ball that moves is, the first look knows at 16 x 16 cells already.
+        known = self.where.out_channels
+        self.said_16 = nn.Conv2d(middle + known, hidden, 1)
+        self.said_32 = nn.Conv2d(fine, hidden, 3, padding=1)
+        self.said = nn.Sequential(nn.ReLU(), nn.Conv2d(hidden, 3 + 2 * OBSERVED_FRAMES, 1))
         last = self.said[-1]
         assert isinstance(last, nn.Conv2d)
         assert last.bias is not None
@@ -94,7 +92,10 @@ class BallDetector(FirstLook):
         ground = self.ground(at_32.relu()).float()
         ground = torch.cat([ground[:, :2].tanh(), ground[:, 2:]], dim=1)
         scene = self.measures(at_8.relu().float().mean(dim=(2, 3))).float()
-        said = self.said(at_32).float()
+        at_16 = at_16.relu()
+        near = self.said_16(torch.cat([at_16, self.where(at_16)], dim=1))
+        near = functional.interpolate(near, scale_factor=2.0)
+        said = self.said(self.said_32(at_32.relu()) + near).float()
         now = self.cells + 8 * PIXEL * said[:, 3:5]
         before = now[:, None] + 8 * PIXEL * said[:, 5:].unflatten(1, (OBSERVED_FRAMES - 1, 2))
         log_radius = said[:, 2].clamp(-3, 3) + torch.log(torch.tensor(USUAL_RADIUS))
