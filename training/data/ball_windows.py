@@ -7,6 +7,7 @@ places in the seen frames are known and that their ground is level.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -31,6 +32,8 @@ from training.painting.sensor import through_sensor
 
 HALF = NETWORK_FRAME_SIZE / 2
 STEPS = FIRST_FORECAST_FRAME + MAX_HORIZON
+REMEMBERED = 2000
+"""Windows that are kept to be seen again, 200 kB each."""
 LEAST_WAY_PX = 0.3
 """Way over the seen frames from which on a ball moves."""
 
@@ -276,6 +279,9 @@ class BallStream(IterableDataset[BallBatch]):
     ----------
     sources
         Simulated scenes; those with several balls are restyled alike.
+    repeats
+        Times that a window is seen, in other symmetries, among those of the last batches: painting
+        costs a fifth of what learning from it does.
     """
 
     def __init__(
@@ -285,12 +291,15 @@ class BallStream(IterableDataset[BallBatch]):
         batch_size: int,
         seed: int,
         first_batch: int,
+        repeats: int = 1,
     ) -> None:
         self._sources = sources
         self._looks = looks
         self._batch_size = batch_size
         self._seed = seed
         self._first_batch = first_batch
+        self._fresh = max(batch_size // repeats, 1)
+        self._drawn = lru_cache(REMEMBERED if repeats > 1 else 1)(self._draw)
 
     def __iter__(self) -> Iterator[BallBatch]:
         """Batches from ``first_batch`` on; several loader processes share them out in turn."""
@@ -299,8 +308,24 @@ class BallStream(IterableDataset[BallBatch]):
         number = self._first_batch + first
         while True:
             generator = np.random.default_rng([self._seed, number])
-            yield collate([self.draw(generator) for _ in range(self._batch_size)])
+            yield collate([self._turned(index, generator) for index in self._chosen(number)])
             number += stride
+
+    def _chosen(self, number: int) -> list[int]:
+        """Numbers of a batch's windows: those that are new, and some of those before."""
+        first = number * self._fresh
+        fresh = range(first, first + self._fresh)
+        generator = np.random.default_rng([self._seed, number, 1])
+        earliest = max(first - REMEMBERED // 2, 0)
+        again = generator.integers(earliest, fresh.stop, self._batch_size - self._fresh)
+        return [*fresh, *again.tolist()]
+
+    def _turned(self, index: int, generator: np.random.Generator) -> BallWindow:
+        turns, mirror = int(generator.integers(4)), bool(generator.integers(2))
+        return turned(self._drawn(index), turns, mirror=mirror)
+
+    def _draw(self, index: int) -> BallWindow:
+        return self.draw(np.random.default_rng([self._seed, index, 2]))
 
     def draw(self, generator: np.random.Generator) -> BallWindow:
         """Draw a window."""
@@ -311,5 +336,4 @@ class BallStream(IterableDataset[BallBatch]):
             return planar_window(generator)
         shares = np.array([source.share for source in self._sources])
         source = self._sources[generator.choice(len(shares), p=shares / shares.sum())]
-        window = source.maker.window(generator, kind, source.latest_start)
-        return turned(window, int(generator.integers(4)), mirror=bool(generator.integers(2)))
+        return source.maker.window(generator, kind, source.latest_start)

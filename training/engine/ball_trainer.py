@@ -184,13 +184,13 @@ class _Rows:
 
 
 def _rows(batch: BallBatch, looked_at: float, generator: torch.Generator) -> _Rows:
-    """One ball of every window that has one to be seen, and others; those that move more often."""
+    """So many balls in the mean, of different windows first; those that move more often."""
     seen = batch.there * (batch.visible[:, :, -1].nan_to_num() > VISIBLE)
     drawn = torch.rand(seen.shape, generator=generator) + 0.7 * batch.moving.nan_to_num()
     drawn = torch.where(seen > 0, drawn, -1.0)
     best = drawn.argmax(dim=1)
     first = torch.arange(len(seen))
-    kept = seen[first, best] > 0
+    kept = (seen[first, best] > 0) & (torch.rand(len(seen), generator=generator) < looked_at)
     window, ball = first[kept], best[kept]
     drawn[window, ball] = -1.0
     more = max(int(looked_at * len(seen)) - len(window), 0)
