@@ -247,7 +247,7 @@ class Manifest(_Part):
 
     def follows(self, objects: int) -> bool:
         """Tell whether it forecasts so many balls."""
-        return objects == self.objects or objects <= (self.max_objects or 0)
+        return self.objects <= objects <= (self.max_objects or self.objects)
 
     @property
     def simulated(self) -> tuple[Scenario, ...]:

@@ -10,7 +10,7 @@ from types import ModuleType
 
 from rollcast.manifest import MANIFEST_FILE, Manifest
 from rollcast.scene import SCENARIOS
-from training.cli import footage
+from training.cli import balls, footage
 from training.common.settings import runs_folder
 from training.data.clip_dataset import Clips
 from training.data.shards import Source, data_folder, in_processes, make_missing, split_shards
@@ -147,6 +147,8 @@ def _parser() -> argparse.ArgumentParser:
     footage.add_options(exported)
     exported.add_argument("--name", help="of a model for clips (default: the recipe's)")
     exported.set_defaults(run=_export)
+
+    balls.add_commands(commands, processes, MODELS)
 
     quantised = commands.add_parser(
         "quantise",

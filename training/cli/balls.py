@@ -1,0 +1,113 @@
+"""What ``python -m training`` does for the network of any number of balls."""
+
+import argparse
+from pathlib import Path
+
+import torch
+
+from rollcast.scene import Scenario
+from training.common.settings import runs_folder
+from training.data.ball_windows import BallLooks, BallStream
+from training.data.splits import Split
+from training.engine.ball_trainer import CHECKPOINT, BallTrainer, BallTraining
+from training.evaluation.evaluate import evaluation_sets
+from training.export.ball_artefact import Sets, TrainedBalls, export_balls
+from training.export.load import any_ball_from
+from training.networks.any_ball import AnyBallNet
+from training.recipes.any_ball import ANY_BALL_DATA, ball_sources
+
+RUN = "any-ball"
+"""Folder of the run, and name of its network."""
+REPEATS = 3
+"""Times that a painted window is seen."""
+SCENES: dict[int, tuple[Scenario, ...]] = {
+    1: ("hemisphere", "ellipsoid", "heightfield"),
+    2: ("ellipsoid",),
+    3: ("ellipsoid",),
+}
+"""Scenarios that are measured, by number of balls."""
+HORIZON = 40
+"""Steps of the longest rollouts that trained the motion it begins with."""
+
+
+def add_commands(
+    commands: "argparse._SubParsersAction[argparse.ArgumentParser]",
+    processes: argparse.ArgumentParser,
+    models: Path,
+) -> None:
+    """Add ``train-balls`` and ``export-balls``."""
+    trained = commands.add_parser(
+        "train-balls",
+        parents=[processes],
+        help="train the perception of any number of balls, from committed models or where a run "
+        "stopped",
+    )
+    trained.add_argument("--batches", type=int, default=20_000, help="of 24 windows")
+    trained.add_argument("--models", type=Path, default=models, help="that it begins with")
+    trained.set_defaults(run=_train)
+    exported = commands.add_parser(
+        "export-balls",
+        parents=[processes],
+        help="export the network for any number of balls and prove the export",
+    )
+    exported.add_argument("--name", default=RUN)
+    exported.add_argument("--version", type=int, default=1)
+    exported.add_argument("--models", type=Path, default=models)
+    exported.add_argument("--scenes", type=int, default=500, help="test scenes per scenario")
+    exported.set_defaults(run=_export)
+
+
+def _train(arguments: argparse.Namespace) -> None:
+    network = any_ball_from(arguments.models)
+    trainer = BallTrainer(network, BallTraining(arguments.batches), runs_folder() / RUN)
+    trainer.resume()
+    training = trainer.training
+    stream = BallStream(
+        ball_sources(workers=arguments.workers),
+        BallLooks(),
+        training.batch_size,
+        training.seed,
+        trainer.batches,
+        REPEATS,
+    )
+    for batches in trainer.run(stream, workers=1):
+        print(f"{batches} of {training.batches} batches", flush=True)
+
+
+def _export(arguments: argparse.Namespace) -> None:
+    path = runs_folder() / RUN / CHECKPOINT
+    try:
+        kept = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise SystemExit(
+            f"no trained weights at {path}: run `python -m training train-balls` first, or name "
+            "the folder of its runs with ROLLCAST_RUNS"
+        ) from error
+    network = AnyBallNet()
+    prefix = "module."
+    network.load_state_dict(
+        {n.removeprefix(prefix): v for n, v in kept["average"].items() if n.startswith(prefix)}
+    )
+    training = BallTraining(0)
+    trained = TrainedBalls(
+        arguments.name,
+        network,
+        kept["batches"] * training.batch_size,
+        HORIZON,
+        {part.source.name: part.scenes for part in ANY_BALL_DATA},
+        training.seed,
+    )
+    folder = arguments.models / arguments.name / str(arguments.version)
+    validation, test = (
+        _sets(split, scenes, arguments.workers)
+        for split, scenes in (("validation", 100), ("test", arguments.scenes))
+    )
+    manifest = export_balls(trained, folder, arguments.version, validation, test)
+    print(f"{manifest.label}: {manifest.validation_error_px:.2f} px, in {folder}")
+
+
+def _sets(split: Split, scenes: int, workers: int) -> Sets:
+    return {
+        balls: evaluation_sets(scenarios, balls, None, split, scenes, workers)
+        for balls, scenarios in SCENES.items()
+    }
