@@ -98,10 +98,8 @@ def _export(arguments: argparse.Namespace) -> None:
         training.seed,
     )
     folder = arguments.models / arguments.name / str(arguments.version)
-    validation, test = (
-        _sets(split, scenes, arguments.workers)
-        for split, scenes in (("validation", 100), ("test", arguments.scenes))
-    )
+    validation = _sets("validation", 100, arguments.workers)
+    test = _sets("test", arguments.scenes, arguments.workers)
     manifest = export_balls(trained, folder, arguments.version, validation, test)
     print(f"{manifest.label}: {manifest.validation_error_px:.2f} px, in {folder}")
 

@@ -82,9 +82,15 @@ class BallWindowMaker:
         window = self.at(index, start)
         return filmed(generator, window) if kind == "filmed" else window
 
-    def at(self, index: int, start: int) -> BallWindow:
+    def truth(self, generator: np.random.Generator, latest_start: int) -> BallWindow:
+        """Draw a window of a random scene in a random symmetry, without frames."""
+        index = int(generator.integers(self.scenes))
+        window = self.at(index, int(generator.integers(latest_start + 1)), seen=False)
+        return turned(window, int(generator.integers(4)), mirror=bool(generator.integers(2)))
+
+    def at(self, index: int, start: int, *, seen: bool = True) -> BallWindow:
         """Window of a scene whose first seen frame is ``start``, as the paper shows it."""
-        window = self._maker.window(index, start, MAX_HORIZON)
+        window = self._maker.window(index, start, MAX_HORIZON, seen=seen)
         scene = self._maker.recording(index).scene
         radius = scene.radius_m / camera_for(scene.scenario, NETWORK_FRAME_SIZE).half_width_m
         return _known(window, radius, np.zeros((OBSERVED_FRAMES, 2)))

@@ -25,12 +25,12 @@ class DetectionLoss:
     every cell within a ball, and at least within a cell's side of its centre, votes.
     """
 
-    heat = 1.0
-    places = 0.5
+    heat = 3.0
+    places = 1.0
     radius = 1.0
-    moving = 0.5
-    ground = 15.0
-    way = 30.0
+    moving = 1.0
+    ground = 10.0
+    way = 15.0
     scene = 2.0
 
     def __call__(self, maps: BallMaps, batch: BallBatch) -> dict[str, Tensor]:
