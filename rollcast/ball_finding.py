@@ -17,7 +17,7 @@ from rollcast.patches import cut_patches, half_widths, letterboxed
 PASSES = 2
 """Times that patches are cut: the second time they are centred already."""
 
-LEAST_SCORE = 0.25
+LEAST_SCORE = 0.1
 """Score from which on a candidate is looked at closer."""
 LIKELY = 0.5
 """Score from which on a ball is there."""
@@ -28,8 +28,8 @@ Detect = Callable[[UInt8[np.ndarray, "1 4 128 128 3"]], Arrays]
 ``votes`` [1, 2 K + 3, G, G] (places, logarithm of the radius, score and moving of every cell),
 ``ground`` and ``scene``."""
 Refine = Callable[[Float[np.ndarray, "balls 4 3 32 32"], Sequence[str]], Arrays]
-"""Patches to what is wanted of them: ``rough`` and ``offsets`` [M, K, 2], ``log_radius`` [M],
-``visible`` [M, K] (logits), ``log_sigmas`` [M, 2] and ``features`` [M, F]."""
+"""Patches to what is wanted of them: ``offsets`` [M, K, 2], ``log_radius`` [M], ``visible`` [M, K]
+(logits), ``log_sigmas`` [M, 2] and ``features`` [M, F]."""
 
 
 @dataclass(frozen=True)
@@ -134,11 +134,11 @@ def _looked_at(
 ) -> Balls:
     for _ in range(PASSES - 1):
         widths = half_widths(radii)
-        seen = refine(cut_patches(frames, places, widths), ("rough", "log_radius"))
-        places = places + widths[:, None, None] * seen["rough"]
+        seen = refine(cut_patches(frames, places, widths), ("offsets", "log_radius"))
+        places = places + widths[:, None, None] * seen["offsets"]
         radii = widths * np.exp(seen["log_radius"])
     widths = half_widths(radii)
-    seen = refine(cut_patches(frames, places, widths), REFINER_OUTPUTS[1:])
+    seen = refine(cut_patches(frames, places, widths), REFINER_OUTPUTS)
     places = places + widths[:, None, None] * seen["offsets"]
     radii = widths * np.exp(seen["log_radius"])
     visible = 1 / (1 + np.exp(-seen["visible"]))

@@ -35,7 +35,7 @@ FRAMES_INPUT = "frames"
 PATCHES_INPUT = "patches"
 """Input of the refiner's graph, float32 [M, 4, 3, 32, 32] (``rollcast.patches``)."""
 DETECTOR_OUTPUTS = ("places", "radii", "scores", "moving", "votes", "ground", "scene")
-REFINER_OUTPUTS = ("rough", "offsets", "log_radius", "visible", "log_sigmas", "features")
+REFINER_OUTPUTS = ("offsets", "log_radius", "visible", "log_sigmas", "features")
 BALL_INPUTS = ("places", "radii", "log_sigmas", "features")
 """What the encoder's graph reads of every ball, [B, N, ...], and of the whole frames:"""
 SCENE_INPUTS = ("ground", "scene")

@@ -49,7 +49,6 @@ def refine(patches: np.ndarray, wanted) -> dict[str, np.ndarray]:
     offsets = offsets / total[..., None]
     count = len(patches)
     said = {
-        "rough": offsets,
         "offsets": offsets,
         "log_radius": np.zeros(count) + np.log(0.5),
         "visible": np.where(total > 1, 8.0, -8.0),

@@ -69,7 +69,6 @@ def _refine(patches: np.ndarray) -> dict[str, np.ndarray]:
     offsets = offsets / total[..., None]
     count = len(patches)
     return {
-        "rough": offsets,
         "offsets": offsets,
         "log_radius": np.full(count, np.log(0.5)),
         "visible": np.where(total > 1, 8.0, -8.0),

@@ -73,7 +73,8 @@ class RefinerGraph(torch.nn.Module):
 
     def forward(self, patches: Tensor) -> tuple[Tensor, ...]:
         """Read patches [M, 4, 3, P, P]."""
-        return tuple(self.network.eye.refiner(patches))
+        _, *said = self.network.eye.refiner(patches)
+        return tuple(said)
 
 
 class BallEncoderGraph(torch.nn.Module):

@@ -48,7 +48,7 @@ class Seen(NamedTuple):
     """What is seen of every ball, [B, N, ...]."""
 
     rough: Tensor
-    """[B, N, K, 2] in the seen frames, to cut the next patches around."""
+    """[B, N, K, 2] in the seen frames, as convolution alone has it."""
     places: Tensor
     """[B, N, K, 2] the same, as exact as can be."""
     radii: Tensor
@@ -101,7 +101,7 @@ class BallPerception(nn.Module):
         seen = self.seen(patches, places_BNK2, widths)
         if passes == 1:
             return seen
-        return self.refine(frames_BKHW3, seen.rough, seen.radii, passes - 1)
+        return self.refine(frames_BKHW3, seen.places, seen.radii, passes - 1)
 
     def seen(self, patches_BNK3PP: Tensor, places_BNK2: Tensor, widths_BN: Tensor) -> Seen:
         """Return what patches around places show."""

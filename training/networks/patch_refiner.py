@@ -34,8 +34,8 @@ class Refined(NamedTuple):
     """What patches around M balls show."""
 
     rough: Tensor
-    """[M, K, 2] of the ball's centre from that of the patch in every frame, by convolution alone:
-    enough to cut the next patches, and without registration the cheaper by a third."""
+    """[M, K, 2] of the ball's centre from that of the patch in every frame, by convolution alone;
+    for the loss."""
     offsets: Tensor
     """[M, K, 2] the same, as exact as can be."""
     log_radius: Tensor

@@ -114,8 +114,8 @@ class RefinementLoss:
     Doubt listens without changing what is said of places.
     """
 
-    rough = 0.5
-    places = 1.5
+    rough = 1.0
+    places = 3.0
     displacement = 2.0
     radius = 1.0
     visible = 0.5

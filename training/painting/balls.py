@@ -138,7 +138,7 @@ def paint_ball(
     """
     height, width = image.shape[:2]
     way = np.zeros(2) if smear is None else np.asarray(smear)
-    steps = 1 if smear is None else int(min(2 + np.hypot(*way) / 1.5, 6))
+    steps = 1 if smear is None else int(min(2 + math.hypot(way[0], way[1]) / 1.5, 6))
     reach_x, reach_y = radius + 1.5 + np.abs(way) / 2
     left, right = _range(centre[0], reach_x, width)
     top, bottom = _range(centre[1], reach_y, height)

@@ -107,7 +107,9 @@ def _noisy(frame: np.ndarray, sensor: Sensor, generator: np.random.Generator) ->
 
 def _jpeg(frame: np.ndarray, quality: int) -> np.ndarray:
     _, data = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return cv2.imdecode(data, cv2.IMREAD_COLOR)
+    decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    assert decoded is not None
+    return decoded
 
 
 def _video(frames: list[np.ndarray], quality: int) -> list[np.ndarray]:
