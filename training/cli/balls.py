@@ -10,6 +10,7 @@ from training.common.settings import runs_folder
 from training.data.ball_windows import BallLooks, BallStream
 from training.data.splits import Split
 from training.engine.ball_trainer import CHECKPOINT, BallTrainer, BallTraining
+from training.engine.encounter_trainer import EncounterTraining, train_encounters
 from training.evaluation.evaluate import evaluation_sets
 from training.export.ball_artefact import Sets, TrainedBalls, export_balls
 from training.export.load import any_ball_from
@@ -18,6 +19,8 @@ from training.recipes.any_ball import ANY_BALL_DATA, ball_sources
 
 RUN = "any-ball"
 """Folder of the run, and name of its network."""
+MOTION = "rolling.pt"
+"""Weights of the motion in the run's folder, once encounters are taught."""
 REPEATS = 3
 """Times that a painted window is seen."""
 SCENES: dict[int, tuple[Scenario, ...]] = {
@@ -35,7 +38,7 @@ def add_commands(
     processes: argparse.ArgumentParser,
     models: Path,
 ) -> None:
-    """Add ``train-balls`` and ``export-balls``."""
+    """Add ``train-balls``, ``train-encounters`` and ``export-balls``."""
     trained = commands.add_parser(
         "train-balls",
         parents=[processes],
@@ -45,6 +48,14 @@ def add_commands(
     trained.add_argument("--batches", type=int, default=20_000, help="of 24 windows")
     trained.add_argument("--models", type=Path, default=models, help="that it begins with")
     trained.set_defaults(run=_train)
+    met = commands.add_parser(
+        "train-encounters",
+        parents=[processes],
+        help="teach the balls of that network to meet, from true states; a few minutes",
+    )
+    met.add_argument("--batches", type=int, default=2500, help="of 64 windows")
+    met.add_argument("--models", type=Path, default=models, help="that it begins with")
+    met.set_defaults(run=_meet)
     exported = commands.add_parser(
         "export-balls",
         parents=[processes],
@@ -74,6 +85,19 @@ def _train(arguments: argparse.Namespace) -> None:
         print(f"{batches} of {training.batches} batches", flush=True)
 
 
+def _meet(arguments: argparse.Namespace) -> None:
+    network = any_ball_from(arguments.models)
+    several = [part for part in ANY_BALL_DATA if part.source.objects > 1]
+    sources = ball_sources(several, workers=arguments.workers)
+    training = EncounterTraining(arguments.batches)
+    for number, loss in enumerate(train_encounters(network, sources, training), start=1):
+        if number % 100 == 0:
+            print(f"{number} of {training.batches} batches: loss {loss:.3f}", flush=True)
+    folder = runs_folder() / RUN
+    folder.mkdir(parents=True, exist_ok=True)
+    torch.save(network.rolling.state_dict(), folder / MOTION)
+
+
 def _export(arguments: argparse.Namespace) -> None:
     path = runs_folder() / RUN / CHECKPOINT
     try:
@@ -88,6 +112,9 @@ def _export(arguments: argparse.Namespace) -> None:
     network.load_state_dict(
         {n.removeprefix(prefix): v for n, v in kept["average"].items() if n.startswith(prefix)}
     )
+    motion = path.with_name(MOTION)
+    if motion.exists():
+        network.rolling.load_state_dict(torch.load(motion, map_location="cpu", weights_only=True))
     training = BallTraining(0)
     trained = TrainedBalls(
         arguments.name,
