@@ -64,7 +64,7 @@ def held(address: str) -> int:
     """Forecasts that run or wait."""
     text = httpx2.get(f"{address}/metrics").text
     found = re.search(
-        r'^rollcast_requests_in_flight\{workers="inference"\} (\S+)', text, re.MULTILINE
+        r'^rollcast_requests_in_flight\{pool="inference"\} (\S+)', text, re.MULTILINE
     )
     assert found
     return int(float(found.group(1)))
