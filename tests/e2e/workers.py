@@ -47,7 +47,7 @@ class Service:
             "ROLLCAST_GRACEFUL_SHUTDOWN_TIMEOUT_S": str(STOP_TIMEOUT_S),
         }
         with self._log.open("a") as log:
-            self.popen, self.address = start_service(log, prefix, **variables | settings)
+            self.popen, self.address = start_service(log, prefix=prefix, **variables | settings)
         self.process = psutil.Process(self.popen.pid)
         self._processes = processes
         if wait:
