@@ -63,9 +63,7 @@ def wait_until_ready(client: Client) -> None:
 def held(address: str) -> int:
     """Forecasts that run or wait."""
     text = httpx2.get(f"{address}/metrics").text
-    found = re.search(
-        r'^rollcast_requests_in_flight\{pool="inference"\} (\S+)', text, re.MULTILINE
-    )
+    found = re.search(r'^rollcast_requests_in_flight\{pool="inference"\} (\S+)', text, re.MULTILINE)
     assert found
     return int(float(found.group(1)))
 

@@ -17,7 +17,7 @@ from training.recipes.tiny import tiny
 
 COMMANDS = {
     "simulate", "check-world", "train", "plot-run", "auto-train", "evaluate", "error-breakdown",
-    "export", "quantise", "fit-ood", "setup", "real", "study", "report",
+    "export", "quantise", "fit-ood", "setup", "real", "real-clips", "study", "report",
 }  # fmt: skip
 
 

@@ -1,5 +1,7 @@
 """Shards of scenes: made once, whole or not at all, the same bytes wherever they are made."""
 
+import sys
+
 import fsspec
 import numpy as np
 import pytest
@@ -70,7 +72,9 @@ def test_any_address_of_fsspecs_will_do(made):
     assert np.load(made / "2000000.npz")["positions"].dtype == np.float32
 
 
-def test_ray_is_an_extra_that_is_asked_for(capsys):
+def test_ray_is_an_extra_that_is_asked_for(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    monkeypatch.delitem(sys.modules, "training.orchestration.ray_backend", raising=False)
     with pytest.raises(typer.Exit):
         with_ray()
     assert "--ray needs the extra ray-training" in capsys.readouterr().err
