@@ -69,9 +69,9 @@ def test_a_model_says_how_its_videos_are_read(client, clip):
             response = super()._served(asked)
             if asked.path == "/models/fake":
                 entry = ModelDetail.model_validate_json(response.content)
-                rig = {"colors": ["red"], "crop": (8, 4, 40)}
+                setup = {"colors": ["red"], "crop": (8, 4, 40)}
                 changed = entry.model_copy(update={"frame_rate_hz": 20.0}).model_dump()
-                response = type(response)(200, json=changed | {"rig": rig})
+                response = type(response)(200, json=changed | {"setup": setup})
             return response
 
     service = OfASetUp()

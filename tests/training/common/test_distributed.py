@@ -116,7 +116,7 @@ def test_a_checkpoint_of_one_is_gone_on_with_by_two(runs, tmp_path):
     """As after a worker was killed, with another number of workers."""
     alone = train("shared state", tmp_path / "alone")
     half = Noted(tiny(one_ball()), tmp_path / "run", PACE)
-    half._pace = TrainerConfig(validate_every=4, checkpoint_seconds=0, workers=0)
+    half._config = TrainerConfig(validate_every=4, checkpoint_seconds=0, workers=0)
 
     class EnoughError(Exception):
         pass
