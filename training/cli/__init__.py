@@ -10,7 +10,7 @@ Simulates scenes, trains networks and exports them for the service.
 Data sets and checkpoints go to the folder that ROLLCAST_RUNS names (default: runs).
 
 \b
-A first try, two minutes on one core:
+A first try, a few minutes on one core:
   python -m training train tiny
   python -m training export tiny --scenes 100 --ood-scenes 0
   make serve
