@@ -3,10 +3,10 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import UInt8
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import Manifest
+from rollcast.ood import frame_stats
 from rollcast.rollout import Outputs, stacked
 from rollcast.schemas import (
     AUTO_MODEL,
@@ -28,7 +28,7 @@ from service.inference.rollout import Forecast, Predictor, assemble
 from service.inference.scheduler import DecodedRequest
 from service.observability.metrics import Metrics
 from service.observability.tracing import Stages
-from service.serving.forecast_warnings import doubts, is_unfamiliar, replaced
+from service.serving.forecast_warnings import doubts, replaced, unfamiliar
 from service.serving.registry import ModelQuery, Registry
 
 Parser = Callable[[Check], PredictRequest]
@@ -77,15 +77,18 @@ class _Forecast:
         self._horizon = _horizon(request, predictor.manifest)
         self._rate = request.frame_rate or predictor.manifest.frame_rate_hz
         frames, self._side = _decode(request, self._token.raise_if_cancelled)
-        self._doubts = doubts(predictor, self._horizon, self._rate, frames)
-        predictor = self._used(predictor, frames)
+        seen = frame_stats(frames)
+        unlike = unfamiliar(predictor, seen)
+        self._doubts = [*doubts(predictor, self._horizon, self._rate, seen), *unlike]
+        if unlike and request.model == AUTO_MODEL:
+            predictor = self._for_unfamiliar_frames(predictor)
         self._stages.next()
         return DecodedRequest(predictor, frames[None], self._horizon)
 
-    def _used(self, chosen: Predictor, frames: UInt8[np.ndarray, "K 128 128 3"]) -> Predictor:
-        """Return the model that forecasts: "auto" has another one for unfamiliar frames."""
+    def _for_unfamiliar_frames(self, chosen: Predictor) -> Predictor:
+        """Return the model that forecasts in place of a choice of "auto", if there is one."""
         other = self._registry.for_unfamiliar_frames(chosen)
-        if self.request.model != AUTO_MODEL or other is None or not is_unfamiliar(chosen, frames):
+        if other is None:
             return chosen
         self.manifest = other.manifest
         self._doubts = [*self._doubts, replaced(chosen.manifest, other.manifest)]

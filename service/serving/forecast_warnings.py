@@ -1,11 +1,8 @@
 """Reasons to trust a forecast less, in words for people."""
 
-import numpy as np
-from jaxtyping import UInt8
-
 from rollcast.footage import RATE_TOLERANCE
 from rollcast.manifest import Manifest
-from rollcast.ood import FrameStats, frame_stats
+from rollcast.ood import FrameStats
 from service.inference.rollout import Predictor
 
 
@@ -13,22 +10,15 @@ def doubts(
     predictor: Predictor,
     horizon: int,
     frame_rate: float,
-    frames: UInt8[np.ndarray, "K 128 128 3"],
+    seen: FrameStats,
 ) -> list[str]:
-    """Return every reason that there is for a forecast from some frames, so many a second."""
+    """Return the warnings of a forecast from frames with some statistics, but for their looks."""
     manifest = predictor.manifest
-    seen = frame_stats(frames)
     return [
         *_of_horizon(manifest, horizon),
         *_of_rate(manifest, frame_rate),
         *_of_stillness(seen),
-        *_of_looks(predictor, seen),
     ]
-
-
-def is_unfamiliar(predictor: Predictor, frames: UInt8[np.ndarray, "K 128 128 3"]) -> bool:
-    """Whether frames are out of distribution for a model; False where it cannot tell."""
-    return bool(_of_looks(predictor, frame_stats(frames)))
 
 
 def replaced(chosen: Manifest, used: Manifest) -> str:
@@ -74,7 +64,8 @@ def _of_stillness(seen: FrameStats) -> list[str]:
     ]
 
 
-def _of_looks(predictor: Predictor, seen: FrameStats) -> list[str]:
+def unfamiliar(predictor: Predictor, seen: FrameStats) -> list[str]:
+    """Return the warning of frames that are out of distribution for a model, if they are."""
     known, familiarity = predictor.manifest.unfamiliar, predictor.familiarity
     if known is None or familiarity is None:
         return []
