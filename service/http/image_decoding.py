@@ -15,6 +15,7 @@ from PIL.PngImagePlugin import PngImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
 from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.frames import to_rgb
 from rollcast.schemas import MAX_FRAME_SIZE, MIN_FRAME_SIZE
 from service.errors import BrokenImageError, InvalidValueError, NotAnImageError
 
@@ -164,7 +165,7 @@ def _load(image: ImageFile.ImageFile, field: str) -> UInt8[np.ndarray, "128 128 
         value = f"{image.format} of {image.width} x {image.height}"
         raise BrokenImageError.at(field, value, "a whole image, this one is cut off") from error
     turn = TURNS.get(_orientation(image.info))
-    return _to_network_size(_to_rgb(image if turn is None else image.transpose(turn)))
+    return _to_network_size(to_rgb(image if turn is None else image.transpose(turn)))
 
 
 def _orientation(info: Mapping[Any, Any]) -> int:
@@ -181,17 +182,6 @@ def _orientation(info: Mapping[Any, Any]) -> int:
     except struct.error:
         pass  # damaged, as metadata often is
     return 1
-
-
-def _to_rgb(image: Image.Image) -> Image.Image:
-    """Grey, palette and CMYK become RGB, 16 bits become 8, transparency lies on white."""
-    if image.mode.startswith("I"):
-        grey = np.asarray(image).astype(np.float32) / 257
-        return Image.fromarray(grey.round().astype(np.uint8)).convert("RGB")
-    if image.has_transparency_data:
-        layer = image.convert("RGBA")
-        return Image.alpha_composite(Image.new("RGBA", layer.size, "white"), layer).convert("RGB")
-    return image if image.mode == "RGB" else image.convert("RGB")
 
 
 def _to_network_size(image: Image.Image) -> UInt8[np.ndarray, "128 128 3"]:
