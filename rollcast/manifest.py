@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.files import read_regular_file
-from rollcast.scene import COLORS, MAX_FORECAST_OBJECTS, BallColor, Domain, Scenario
+from rollcast.scene import COLORS, MAX_BALLS, MAX_FORECAST_OBJECTS, BallColor, Domain, Scenario
 from rollcast.trajectory import OBSERVED_FRAMES
 
 EYE_FILE = "eye.onnx"
@@ -24,11 +24,22 @@ CARD_FILE = "MODEL_CARD.md"
 GOLDEN_FILE = "golden.npz"
 FAMILIARITY_FILE = "familiarity.npz"
 """What the training frames look like (``rollcast.ood``); not every artefact has it."""
+DETECTOR_FILE, REFINER_FILE = "detector.onnx", "refiner.onnx"
+"""Of networks for any number of balls: whole frames to candidates, and patches around them."""
 HASHED_FILES = (ENCODER_FILE, STEP_FILE, CARD_FILE, GOLDEN_FILE)
 """Those that every artefact has."""
+BALL_FILES = (DETECTOR_FILE, REFINER_FILE, *HASHED_FILES)
+"""Those of an artefact for any number of balls."""
 
 FRAMES_INPUT = "frames"
 """Input of the first graph, uint8 [B, frames, 128, 128, 3]; also the golden frames' name."""
+PATCHES_INPUT = "patches"
+"""Input of the refiner's graph, float32 [M, 4, 3, 32, 32] (``rollcast.patches``)."""
+DETECTOR_OUTPUTS = ("places", "radii", "scores", "moving", "votes", "ground", "scene")
+REFINER_OUTPUTS = ("offsets", "log_radius", "visible", "log_sigmas", "features")
+BALL_INPUTS = ("places", "radii", "log_sigmas", "features")
+"""What the encoder's graph reads of every ball, [B, N, ...], and of the whole frames:"""
+SCENE_INPUTS = ("ground", "scene")
 NEXT_PREFIX = "next_"
 """The step graph reads the state as NAME and returns it as next_NAME."""
 
@@ -155,7 +166,8 @@ class CameraSetup(_Part):
 class Manifest(_Part):
     """Everything there is to know about one version of one model."""
 
-    format_version: Literal[1]
+    format_version: Literal[1, 2]
+    """2 for models that follow any number of balls up to ``max_objects``."""
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,63}$")]
     version: Annotated[int, Field(ge=1)]
     default: bool
@@ -164,6 +176,10 @@ class Manifest(_Part):
     preset: str
     scenarios: Annotated[tuple[Domain, ...], Field(min_length=1)]
     objects: Annotated[int, Field(ge=1, le=MAX_FORECAST_OBJECTS)]
+    """Balls that it follows; where that is free, those that it follows unless it is told more."""
+    max_objects: Annotated[int, Field(ge=1, le=MAX_BALLS)] | None = None
+    """Most balls that it follows; None where the number is fixed. In its state and outputs the
+    second axis is free then."""
     observed_frames: Literal[4]
     frames: Literal[4, 5]
     """Frames that the encoder reads: the observed ones and, with 5, the final one."""
@@ -211,8 +227,13 @@ class Manifest(_Part):
                 raise ValueError(f"output {name} has shape {shape} for {self.objects} objects")
         if (self.final_step is not None) != (self.frames == OBSERVED_FRAMES + 1):
             raise ValueError(f"final_step is {self.final_step} with {self.frames} frames")
-        if set(self.files) - {EYE_FILE, FAMILIARITY_FILE} != set(HASHED_FILES):
-            raise ValueError(f"files are {sorted(self.files)}, expected {sorted(HASHED_FILES)}")
+        if (self.format_version == 2) != (self.max_objects is not None):
+            raise ValueError(
+                f"format_version is {self.format_version} with max_objects {self.max_objects}"
+            )
+        files = set(HASHED_FILES if self.max_objects is None else BALL_FILES)
+        if set(self.files) - {EYE_FILE, FAMILIARITY_FILE} != files:
+            raise ValueError(f"files are {sorted(self.files)}, expected {sorted(files)}")
         if (self.setup is not None) != ("footage" in self.scenarios):
             raise ValueError(f"setup belongs to footage, the scenarios are {self.scenarios}")
         if len(self.colors) != self.objects:
@@ -227,6 +248,10 @@ class Manifest(_Part):
     def label(self) -> str:
         """NAME@VERSION."""
         return f"{self.name}@{self.version}"
+
+    def follows(self, objects: int) -> bool:
+        """Tell whether it forecasts so many balls."""
+        return self.objects <= objects <= (self.max_objects or self.objects)
 
     @property
     def simulated(self) -> tuple[Scenario, ...]:

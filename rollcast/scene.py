@@ -30,6 +30,9 @@ MAX_OBJECTS = len(COLORS)
 MAX_FORECAST_OBJECTS = 4
 """Of a forecast: footage of a user's own set-up may show one more than scenes."""
 
+MAX_BALLS = 8
+"""Balls of a forecast by a model for any number of balls."""
+
 Domain: TypeAlias = Literal["hemisphere", "ellipsoid", "heightfield", "table", "footage"]
 """Domain of a model: a simulated scenario, or footage of a user's own set-up."""
 

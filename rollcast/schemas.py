@@ -18,10 +18,10 @@ from pydantic import (
     WithJsonSchema,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
+from pydantic_core import PydanticCustomError, from_json
 
 from rollcast.scene import (
-    MAX_FORECAST_OBJECTS,
+    MAX_BALLS,
     MAX_OBJECTS,
     MAX_SEED,
     BallColor,
@@ -55,6 +55,16 @@ def _decode_base64(value: object) -> object:
         return binascii.a2b_base64(value, strict_mode=True)
     except ValueError as error:
         raise ValueError("base64 of a PNG, JPEG or WebP file, without line breaks") from error
+
+
+def _decode_json(value: object) -> object:
+    """Turn JSON text, as a multipart part has it, into values."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return from_json(value)
+    except ValueError as error:
+        raise ValueError("JSON, as in a JSON body") from error
 
 
 def _without_point(value: object) -> object:
@@ -92,6 +102,17 @@ class ResponseBody(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
+class BallPrompt(RequestBody):
+    """A point that says which ball is meant."""
+
+    x: Number
+    """Pixels of the last observed frame, to the right."""
+    y: Number
+    """Pixels of the last observed frame, down."""
+    radius: Annotated[Number, Field(gt=0)] | None = None
+    """Pixels; by default estimated."""
+
+
 class PredictRequest(RequestBody):
     """Body of ``POST /predict``, as JSON or, with the images as file parts, as multipart."""
 
@@ -100,16 +121,24 @@ class PredictRequest(RequestBody):
     frames: Annotated[
         list[EncodedImage], Field(min_length=OBSERVED_FRAMES, max_length=OBSERVED_FRAMES)
     ]
-    """The four observed frames in order, t = -3..0: base64 of square PNG, JPEG or WebP files of one
-    size, 32 to 4096 pixels a side. Transparent pixels are composed on white."""
+    """The four observed frames in order, t = -3..0: base64 of PNG, JPEG or WebP files of one size,
+    32 to 4096 pixels a side; square, except for models for any number of balls. Transparent pixels
+    are composed on white."""
     final_frame: EncodedImage | None = None
     """A frame of the same size that shows step ``final_step`` of the model."""
     final_step: Annotated[Integer, Field(ge=1)] | None = None
     """Step that the final frame shows; only the model's own is accepted."""
     horizon: Annotated[Integer, Field(ge=1, le=MAX_HORIZON)] | None = None
     """Number of steps, t = 0..horizon-1: 40 by default, with a final frame ``final_step`` + 1."""
-    objects: Annotated[Integer, Field(ge=1, le=MAX_FORECAST_OBJECTS)] | None = None
-    """Number of balls: by default the named model's, with "auto" one."""
+    objects: Annotated[Integer, Field(ge=1, le=MAX_BALLS)] | None = None
+    """Number of balls: by default the named model's, with "auto" one. A model for any number of
+    balls follows, by default, those that move."""
+    balls: Annotated[
+        Annotated[list[BallPrompt], Field(min_length=1, max_length=MAX_BALLS)] | None,
+        BeforeValidator(_decode_json),
+    ] = None
+    """Which balls are meant, for a model for any number of balls: one prompt a ball, in the order
+    of the answer's objects."""
     scenario: Domain | None = None
     """Narrows the choice to models made for this scenario, or for footage of a set-up of one's
     own."""
@@ -128,6 +157,14 @@ class ModelReference(ResponseBody):
     """Steps that training has seen; later ones are extrapolated."""
 
 
+class SeenBall(ResponseBody):
+    """A ball in one observed frame, pixels of the frames that were sent."""
+
+    x: float
+    y: float
+    radius: float
+
+
 class ForecastObject(ResponseBody):
     """The forecast of one ball."""
 
@@ -142,6 +179,12 @@ class ForecastObject(ResponseBody):
     validation data at that step."""
     angular_velocities: list[Vector] | None
     """[horizon][x, y, z], rad/s; None when the model has none."""
+    score: Annotated[float, Field(ge=0, le=1)] | None = None
+    """Confidence that the ball is there; None from models for a fixed number of balls."""
+    seen: list[SeenBall] | None = None
+    """The ball in each observed frame; None from models for a fixed number of balls."""
+    warnings: list[str] = []
+    """Reasons to trust this ball's forecast less."""
 
 
 class PredictTiming(ResponseBody):
@@ -208,6 +251,9 @@ class StreamBall(ResponseBody):
     id: int
     color: BallColor
     covariance_source: Literal["predicted", "empirical"]
+    score: Annotated[float, Field(ge=0, le=1)] | None = None
+    seen: list[SeenBall] | None = None
+    warnings: list[str] = []
 
 
 class StreamDone(ForecastSummary):

@@ -20,6 +20,7 @@ from rollcast.schemas import MAX_FRAME_SIZE, MIN_FRAME_SIZE
 from service.errors import BrokenImageError, InvalidValueError, NotAnImageError
 
 SIDES = f"a square of {MIN_FRAME_SIZE} to {MAX_FRAME_SIZE} pixels a side"
+RECTANGLES = f"a picture of {MIN_FRAME_SIZE} to {MAX_FRAME_SIZE} pixels a side"
 MAX_SCANS = 32
 """Scans of a progressive JPEG; encoders write ten to twenty. Each passes over all pixels."""
 START_OF_SCAN = b"\xff\xda"
@@ -132,11 +133,30 @@ def decode_frames(
         sizes = ", ".join(f"{side} x {side}" for side in sides)
         raise InvalidValueError.at("frames", sizes, "frames of one size")
     # Popped, so that the pixels of one large frame are freed before the next is decoded.
-    frames = [_load(opened.pop(0), field) for field in fields]
+    frames = [_to_network_size(_load(opened.pop(0), field)) for field in fields]
     return np.stack(frames), sides[0]
 
 
-def _open(data: bytes, field: str, check: Check) -> ImageFile.ImageFile:
+def decode_rectangles(
+    images: Sequence[bytes], fields: Sequence[str], check: Check = lambda: None
+) -> UInt8[np.ndarray, "K height width 3"]:
+    """Decode the frames of one request at their own size, which need not be square.
+
+    Raises
+    ------
+    NotAnImageError, BrokenImageError, InvalidValueError
+        With the field at fault.
+    """
+    opened = [_open(data, f, check, square=False) for data, f in zip(images, fields, strict=True)]
+    # The pixels decide: a photo may be turned by what its header says.
+    frames = [np.asarray(_load(opened.pop(0), field)) for field in fields]
+    if len({frame.shape for frame in frames}) > 1:
+        sizes = ", ".join(f"{frame.shape[1]} x {frame.shape[0]}" for frame in frames)
+        raise InvalidValueError.at("frames", sizes, "frames of one size")
+    return np.stack(frames)
+
+
+def _open(data: bytes, field: str, check: Check, *, square: bool = True) -> ImageFile.ImageFile:
     """Read the header alone. Pillow's own ``open`` would refuse large images without their size."""
     reader = next((READERS[start] for start in READERS if data.startswith(start)), None)
     if reader is None or (reader is WebPImageFile and data[8:12] != b"WEBP"):
@@ -153,19 +173,21 @@ def _open(data: bytes, field: str, check: Check) -> ImageFile.ImageFile:
     source.header = False
     image.decodermaxblock = DECODED_BYTES
     width, height = image.size
-    if width != height or not MIN_FRAME_SIZE <= width <= MAX_FRAME_SIZE:
-        raise InvalidValueError.at(field, f"{width} x {height}", SIDES)
+    in_range = all(MIN_FRAME_SIZE <= side <= MAX_FRAME_SIZE for side in image.size)
+    if not in_range or (square and width != height):
+        raise InvalidValueError.at(field, f"{width} x {height}", SIDES if square else RECTANGLES)
     return image
 
 
-def _load(image: ImageFile.ImageFile, field: str) -> UInt8[np.ndarray, "128 128 3"]:
+def _load(image: ImageFile.ImageFile, field: str) -> Image.Image:
+    """Decode the pixels, upright and in RGB."""
     try:
         image.load()
     except DECODER_ERRORS as error:
         value = f"{image.format} of {image.width} x {image.height}"
         raise BrokenImageError.at(field, value, "a whole image, this one is cut off") from error
     turn = TURNS.get(_orientation(image.info))
-    return _to_network_size(to_rgb(image if turn is None else image.transpose(turn)))
+    return to_rgb(image if turn is None else image.transpose(turn))
 
 
 def _orientation(info: Mapping[Any, Any]) -> int:

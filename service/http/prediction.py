@@ -1,13 +1,16 @@
 """One prediction request answered, whole or step by step: decode, choose, roll out, report."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import Manifest
 from rollcast.ood import frame_stats
+from rollcast.patches import letterboxed
 from rollcast.rollout import Outputs, stacked
+from rollcast.scene import BallColor
 from rollcast.schemas import (
     AUTO_MODEL,
     DEFAULT_HORIZON,
@@ -16,13 +19,16 @@ from rollcast.schemas import (
     ModelReference,
     PredictRequest,
     PredictResponse,
+    SeenBall,
     StreamBall,
     StreamDone,
     StreamObject,
     StreamStep,
 )
 from service.errors import InvalidValueError
-from service.http.image_decoding import Check, decode_frames
+from service.http.found_balls import RequestBalls
+from service.http.image_decoding import Check, decode_frames, decode_rectangles
+from service.inference.ball_predictor import BallPredictor
 from service.inference.deadlines import CancellationToken
 from service.inference.rollout import Forecast, Predictor, assemble
 from service.inference.scheduler import DecodedRequest
@@ -32,6 +38,17 @@ from service.serving.forecast_warnings import doubts, replaced, unfamiliar
 from service.serving.registry import ModelQuery, Registry
 
 Parser = Callable[[Check], PredictRequest]
+
+
+class BallDetails(NamedTuple):
+    """What does not change from step to step of one ball."""
+
+    id: int
+    color: BallColor
+    covariance_source: Literal["predicted", "empirical"]
+    score: float | None = None
+    seen: Sequence[SeenBall] | None = None
+    warnings: Sequence[str] = ()
 
 
 class _Forecast:
@@ -55,7 +72,9 @@ class _Forecast:
         self._token = token
         self._registry = registry
         self._stages = Stages(metrics)
-        self._side = 0
+        self._size = (0, 0)
+        self._balls: RequestBalls | None = None
+        self._details: list[BallDetails] = []
         self._rate = 0.0
         self._horizon = 0
         self._doubts: list[str] = []
@@ -71,28 +90,59 @@ class _Forecast:
         self.request = request = self._parse(self._token.raise_if_cancelled)
         self._stages.next()
         final_frame = request.final_frame is not None
-        query = ModelQuery(request.model, request.objects, request.scenario, final_frame)
+        prompted = request.balls is not None
+        objects = request.objects if request.balls is None else len(request.balls)
+        if request.objects not in (None, objects):
+            expected = f"{objects}, the number of balls"
+            raise InvalidValueError.at("objects", request.objects, expected)
+        query = ModelQuery(request.model, objects, request.scenario, final_frame, prompted)
         predictor = self._registry.choose(query)
         self.manifest = predictor.manifest
         self._horizon = _horizon(request, predictor.manifest)
         self._rate = request.frame_rate or predictor.manifest.frame_rate_hz
-        frames, self._side = _decode(request, self._token.raise_if_cancelled)
-        seen = frame_stats(frames)
-        unlike = unfamiliar(predictor, seen)
-        self._doubts = [*doubts(predictor, self._horizon, self._rate, seen), *unlike]
-        if unlike and request.model == AUTO_MODEL:
-            predictor = self._for_unfamiliar_frames(predictor)
+        if isinstance(predictor, BallPredictor):
+            return self._begin_with_balls(predictor, objects)
+        frames, side = _decode(request, self._token.raise_if_cancelled)
+        self._size = (side, side)
+        predictor = self._warn(predictor, frames)
+        source = predictor.manifest.covariance.source
+        colors = predictor.manifest.colors
+        self._details = [BallDetails(ball, color, source) for ball, color in enumerate(colors)]
         self._stages.next()
         return DecodedRequest(predictor, frames[None], self._horizon)
 
-    def _for_unfamiliar_frames(self, chosen: Predictor) -> Predictor:
-        """Return the model that forecasts in place of a choice of "auto", if there is one."""
-        other = self._registry.for_unfamiliar_frames(chosen)
+    def _warn(self, chosen: Predictor, frames: np.ndarray) -> Predictor:
+        """Collect the forecast's warnings; return the model that answers instead, if one does."""
+        seen = frame_stats(frames)
+        unlike = unfamiliar(chosen, seen)
+        self._doubts = [*doubts(chosen, self._horizon, self._rate, seen), *unlike]
+        other = None
+        if unlike and self.request.model == AUTO_MODEL:
+            other = self._registry.for_unfamiliar_frames(chosen)
         if other is None:
             return chosen
         self.manifest = other.manifest
-        self._doubts = [*self._doubts, replaced(chosen.manifest, other.manifest)]
+        self._doubts.append(replaced(chosen.manifest, other.manifest))
         return other
+
+    def _begin_with_balls(self, predictor: BallPredictor, objects: int | None) -> DecodedRequest:
+        """Find the balls in the frames as they were sent."""
+        request = self.request
+        check = self._token.raise_if_cancelled
+        frames = decode_rectangles(request.frames, _frame_fields(request), check)
+        self._size = (frames.shape[2], frames.shape[1])
+        self._warn(predictor, letterboxed(frames, NETWORK_FRAME_SIZE))
+        self._stages.next()
+        self._balls = RequestBalls(predictor, frames, request.balls, objects)
+        source = predictor.manifest.covariance.source
+        balls = self._balls
+        told = zip(balls.colors, balls.scores, balls.seen, balls.warnings, strict=True)
+        self._details = [
+            BallDetails(ball, color, source, score, seen, warnings)
+            for ball, (color, score, seen, warnings) in enumerate(told)
+        ]
+        rollout = predictor.rollout(self._balls.count)
+        return DecodedRequest(rollout, self._balls.found.packed, self._horizon)
 
     def step(self, index: int, outputs: Outputs) -> None:  # noqa: ARG002
         """Note when the first step is there: the frames are encoded."""
@@ -102,7 +152,9 @@ class _Forecast:
     def forecast(self, outputs: Outputs, first_step: int) -> Forecast:
         """Turn stacked outputs into a forecast in the units of the user's frames."""
         return assemble(outputs, self.manifest.covariance, first_step).rescaled(
-            self._side / NETWORK_FRAME_SIZE, self._rate / self.manifest.frame_rate_hz
+            max(self._size) / NETWORK_FRAME_SIZE,
+            self._rate / self.manifest.frame_rate_hz,
+            (0.0, 0.0) if self._balls is None else self._balls.origin,
         )
 
     def summary(self, final_positions: np.ndarray | None) -> ForecastSummary:
@@ -116,7 +168,7 @@ class _Forecast:
                 variant=manifest.variant,
                 trained_horizon=manifest.trained_horizon,
             ),
-            frame_size=(self._side, self._side),
+            frame_size=self._size,
             frame_rate=self._rate,
             final_positions=None if final_positions is None else final_positions[0].tolist(),
             warnings=self._doubts,
@@ -149,7 +201,7 @@ class WholeForecast(_Forecast):
         forecast = self.forecast(stacked(self._steps), first_step=0)
         response = PredictResponse(
             **dict(self.summary(forecast.final_positions)),
-            objects=_objects(forecast, self.manifest),
+            objects=_objects(forecast, self._details),
             times_s=[step / self._rate for step in range(len(self._steps))],
             ellipse50_radii=forecast.ellipse50_radii.tolist(),
         )
@@ -203,21 +255,17 @@ class StreamedForecast(_Forecast):
                         if ball.angular_velocities is None
                         else ball.angular_velocities[0],
                     )
-                    for ball in _objects(forecast, self.manifest)
+                    for ball in _objects(forecast, self._details)
                 ],
             )
         )
 
     def finish(self) -> None:
         """Hand over what is no step."""
-        source = self.manifest.covariance.source
         self._emit(
             StreamDone(
                 **dict(self.summary(self._final)),
-                objects=[
-                    StreamBall(id=ball, color=color, covariance_source=source)
-                    for ball, color in enumerate(self.manifest.colors)
-                ],
+                objects=[StreamBall(**ball._asdict()) for ball in self._details],
             )
         )
 
@@ -239,22 +287,24 @@ def _horizon(request: PredictRequest, manifest: Manifest) -> int:
 
 
 def _decode(request: PredictRequest, check: Check) -> tuple[np.ndarray, int]:
-    fields = [f"frames[{index}]" for index in range(len(request.frames))]
+    fields = _frame_fields(request)
     if request.final_frame is None:
         return decode_frames(request.frames, fields, check)
     return decode_frames([*request.frames, request.final_frame], [*fields, "final_frame"], check)
 
 
-def _objects(forecast: Forecast, manifest: Manifest) -> list[ForecastObject]:
+def _frame_fields(request: PredictRequest) -> list[str]:
+    return [f"frames[{index}]" for index in range(len(request.frames))]
+
+
+def _objects(forecast: Forecast, balls: Sequence[BallDetails]) -> list[ForecastObject]:
     turning = forecast.angular_velocities
     return [
         ForecastObject(
-            id=ball,
-            color=color,
-            positions=forecast.positions[0, ball].tolist(),
-            covariances=forecast.covariances[0, ball].tolist(),
-            covariance_source=manifest.covariance.source,
-            angular_velocities=None if turning is None else turning[0, ball].tolist(),
+            **ball._asdict(),
+            positions=forecast.positions[0, ball.id].tolist(),
+            covariances=forecast.covariances[0, ball.id].tolist(),
+            angular_velocities=None if turning is None else turning[0, ball.id].tolist(),
         )
-        for ball, color in enumerate(manifest.colors)
+        for ball in balls
     ]

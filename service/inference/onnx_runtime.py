@@ -1,6 +1,7 @@
 """ONNX Runtime: the only module that imports it."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from threading import Lock, Thread
 from weakref import WeakValueDictionary
@@ -22,6 +23,8 @@ from rollcast.manifest import (
 from rollcast.ood import Familiarity
 from rollcast.perception_io import run_perception
 from rollcast.rollout import Arrays, Step
+from service.inference.ball_predictor import BallPredictor
+from service.inference.rollout import Predictor
 from service.settings import keep_runtime_silent
 
 keep_runtime_silent()
@@ -114,6 +117,13 @@ class OnnxPredictor:
             dict(zip(self._state, values[:split], strict=True)),
             dict(zip(outputs, values[split:], strict=True)),
         )
+
+
+def open_predictor(folder: Path, manifest: Manifest) -> Predictor:
+    """Open the graphs of an artefact."""
+    if manifest.max_objects is None:
+        return OnnxPredictor(folder, manifest)
+    return BallPredictor(folder, manifest, partial(_session, reuse=True))
 
 
 def _shared_eye(path: Path, digest: str) -> _Eye:

@@ -56,7 +56,9 @@ class Forecast:
     final_positions: Float[np.ndarray, "B N 2"] | None
     """Pixels."""
 
-    def rescaled(self, length: float, rate: float) -> "Forecast":
+    def rescaled(
+        self, length: float, rate: float, origin: tuple[float, float] = (0.0, 0.0)
+    ) -> "Forecast":
         """Return the forecast with lengths and angular velocities in other units.
 
         Parameters
@@ -65,14 +67,16 @@ class Forecast:
             Pixels of the wanted frame per pixel of a 128-pixel frame.
         rate
             Frames a second of the observed frames per frame a second of the model.
+        origin
+            Of the wanted frame: pixels of it by which positions are less.
         """
         turning, final = self.angular_velocities, self.final_positions
         return Forecast(
-            self.positions * length,
+            self.positions * length - np.array(origin, np.float32),
             self.covariances * length**2,
             self.ellipse50_radii,
             None if turning is None else turning * rate,
-            None if final is None else final * length,
+            None if final is None else final * length - np.array(origin, np.float32),
         )
 
 

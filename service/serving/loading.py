@@ -24,7 +24,7 @@ from rollcast.manifest import (
     Manifest,
 )
 from rollcast.rollout import roll_out
-from service.inference.onnx_runtime import OnnxPredictor
+from service.inference.onnx_runtime import open_predictor as open_graphs
 from service.inference.rollout import Predictor
 from service.serving.registry import Model, Registry
 
@@ -48,7 +48,7 @@ class Loader(Protocol):
 def load_registry(
     models_dir: Path,
     name: str | None = None,
-    open_predictor: PredictorFactory = OnnxPredictor,
+    open_predictor: PredictorFactory = open_graphs,
 ) -> Registry:
     """Load every ``NAME/VERSION`` under a folder; one that is refused does not stop the others.
 

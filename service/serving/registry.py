@@ -57,6 +57,8 @@ class ModelQuery:
     objects: int | None = None
     scenario: Domain | None = None
     final_frame: bool = False
+    prompted: bool = False
+    """Whether points say which balls are meant; ``objects`` is their number."""
 
 
 class Registry:
@@ -169,11 +171,11 @@ class Registry:
         where nothing else forecasts so many balls (decision 0129).
         """
         objects = query.objects or 1
-        peers = [
-            predictor
-            for predictor in self.served
-            if predictor.manifest.default and predictor.manifest.objects == objects
-        ]
+        fitting = [p for p in self.served if p.manifest.default and p.manifest.follows(objects)]
+        of_any_number = [p for p in fitting if p.manifest.max_objects is not None]
+        made_for_it = [p for p in fitting if p.manifest.max_objects is None]
+        # Those for a fixed number of balls cannot be told which ones are meant.
+        peers = of_any_number if query.prompted else made_for_it or of_any_number
         if query.scenario is None:
             known = {scenario for peer in peers for scenario in peer.manifest.scenarios}
             scenarios = known - {"footage"} or known
@@ -227,9 +229,15 @@ def _is_number(text: str) -> bool:
 
 
 def _check_fit(manifest: Manifest, query: ModelQuery) -> None:
-    if query.objects not in (None, manifest.objects):
-        expected = f"{manifest.objects}, the number of balls of {manifest.label}"
-        raise InvalidValueError.at("objects", query.objects, expected)
+    if query.prompted and manifest.max_objects is None:
+        expected = f"none: {manifest.label} finds its balls by itself"
+        raise InvalidValueError.at("balls", query.objects, expected)
+    if query.objects is not None and not manifest.follows(query.objects):
+        most = manifest.max_objects
+        number = f"{manifest.objects}, the number" if most is None else f"1 to {most}, the numbers"
+        raise InvalidValueError.at(
+            "objects", query.objects, f"{number} of balls of {manifest.label}"
+        )
     if query.scenario is not None and query.scenario not in manifest.scenarios:
         expected = f"{' or '.join(manifest.scenarios)}, which {manifest.label} is made for"
         raise InvalidValueError.at("scenario", query.scenario, expected)

@@ -2,7 +2,7 @@
 
 import typer
 
-from training.cli import data, footage, models, studies, train
+from training.cli import balls, data, footage, models, studies, train
 
 HELP = """\
 Simulates scenes, trains networks and exports them for the service.
@@ -28,6 +28,6 @@ def application() -> typer.Typer:
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     )
-    for group in (data, train, models, footage, studies):
+    for group in (data, train, balls, models, footage, studies):
         group.add_to(app)
     return app

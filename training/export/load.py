@@ -9,9 +9,11 @@ from rollcast.manifest import ENCODER_FILE, EYE_FILE, MANIFEST_FILE, STEP_FILE, 
 from training.common.run_folder import BEST, read_best
 from training.engine.warm_start import Initial, placed
 from training.export.weight_rounding import stored_weights
+from training.networks.any_ball import AnyBallNet
 from training.networks.presets import PRESETS
 from training.networks.recurrent import Network
 from training.networks.task import Task
+from training.recipes.any_ball import warm_network
 
 
 def read_parameters(folder: Path) -> dict[str, torch.Tensor]:
@@ -37,6 +39,12 @@ def initial_networks(folder: Path) -> list[Initial]:
         return [read_initial(folder)]
     best = read_best(folder)
     return [Initial(name, weights, best["sequences"]) for name, weights in best["weights"].items()]
+
+
+def any_ball_from(models: Path) -> AnyBallNet:
+    """Return the network for any number of balls with what committed models know."""
+    one, several = (read_parameters(models / name / "1") for name in ("fieldnet", "fieldnet-3"))
+    return warm_network(one, several)
 
 
 def load_exported(folder: Path) -> tuple[Manifest, Network]:

@@ -121,7 +121,7 @@ class Encounters(nn.Module):
         closing = ball.velocity[:, None] - ball.velocity[:, :, None]
         ahead = torch.tensor(AHEAD, device=apart.device)[:, None]
         ways = apart[..., None, :] + ahead * closing[..., None, :]
-        gaps = ways.norm(dim=-1) - 2 * ball.radius[:, :, None]
+        gaps = ways.norm(dim=-1) - self.reach(ball)
         objects = apart.shape[1]
         mine = ball.spin[:, :, None].expand(-1, -1, objects, -1)
         other = ball.spin[:, None].expand(-1, objects, -1, -1)
@@ -133,6 +133,10 @@ class Encounters(nn.Module):
         near = (1 - 10 * gaps.amin(dim=-1, keepdim=True)).clamp(0, 1)
         strangers = 1 - torch.eye(objects, device=apart.device)[..., None]
         return (of_each(self.message, seen) * near * strangers).sum(dim=2)
+
+    def reach(self, ball: Ball) -> Tensor:
+        """Distance [B, N, 1 or N, 1] of the centres of two balls that touch."""
+        return 2 * ball.radius[:, :, None]
 
 
 class Rolling(nn.Module):

@@ -108,7 +108,7 @@ PREDICT = {
     "half a step": (with_fields(horizon=1.5), 422, INVALID, "horizon"),
     "a yes for a number": (with_fields(horizon=True), 422, INVALID, "horizon"),
     "no balls": (with_fields(objects=0), 422, INVALID, "objects"),
-    "five balls": (with_fields(objects=5), 422, INVALID, "objects"),
+    "nine balls": (with_fields(objects=9), 422, INVALID, "objects"),
     "unknown scenario": (with_fields(scenario="moon"), 422, INVALID, "scenario"),
     "rate 0": (with_fields(frame_rate=0), 422, INVALID, "frame_rate"),
     "wrong content type": (

@@ -52,7 +52,7 @@ def test_a_rig_answers_for_footage_alone(client, fields, name):
         ({"objects": 4, "scenario": "ellipsoid"}, "model", "none for objects 4"),
         ({"model": "arena", "scenario": "ellipsoid"}, "scenario", "footage, which arena@1"),
         ({"model": "dot", "scenario": "footage"}, "scenario", "hemisphere or ellipsoid"),
-        ({"objects": 5}, "objects", "less than or equal to 4"),
+        ({"objects": 9}, "objects", "less than or equal to 8"),
     ],
 )
 def test_what_does_not_fit_is_refused(client, fields, field, expected):

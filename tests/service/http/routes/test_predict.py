@@ -21,6 +21,9 @@ def test_the_answer_has_every_field_of_the_design(client):
                 "covariances": [[[1.0, 0.0], [0.0, 1.0]]] * 3,
                 "covariance_source": "predicted",
                 "angular_velocities": [[1.0, 1.0, 1.0]] * 3,
+                "score": None,
+                "seen": None,
+                "warnings": [],
             }
         ],
         "times_s": [0.0, 0.025, 0.05],

@@ -1,0 +1,163 @@
+"""Finds balls in frames of any size: whole frames once, then patches around what was found.
+
+The networks are passed in as functions, so service and training look the same way. Places are
+points of the letterboxed square (:mod:`rollcast.patches`), lengths its halves.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.manifest import REFINER_OUTPUTS
+from rollcast.patches import cut_patches, half_widths, letterboxed
+
+PASSES = 2
+"""Times that patches are cut: the second time they are centred already."""
+
+LEAST_SCORE = 0.1
+"""Score from which on a candidate is looked at closer."""
+LIKELY = 0.5
+"""Score from which on a ball is there."""
+
+Arrays = Mapping[str, np.ndarray]
+Detect = Callable[[UInt8[np.ndarray, "1 4 128 128 3"]], Arrays]
+"""Frames to ``places`` [1, C, K, 2], ``radii``, ``scores`` and ``moving`` [1, C] of candidates,
+``votes`` [1, 2 K + 3, G, G] (places, logarithm of the radius, score and moving of every cell),
+``ground`` and ``scene``."""
+Refine = Callable[[Float[np.ndarray, "balls 4 3 32 32"], Sequence[str]], Arrays]
+"""Patches to what is wanted of them: ``offsets`` [M, K, 2], ``log_radius`` [M], ``visible`` [M, K]
+(logits), ``log_sigmas`` [M, 2] and ``features`` [M, F]."""
+
+
+@dataclass(frozen=True)
+class Balls:
+    """Balls that were found, or asked for."""
+
+    places: Float[np.ndarray, "balls 4 2"]
+    """In the seen frames."""
+    radii: Float[np.ndarray, " balls"]
+    scores: Float[np.ndarray, " balls"]
+    """How surely each is there, 0..1."""
+    moving: Float[np.ndarray, " balls"]
+    """How surely each moves, 0..1."""
+    visible: Float[np.ndarray, "balls 4"]
+    """How surely each is seen in the frames, 0..1."""
+    log_sigmas: Float[np.ndarray, "balls 2"]
+    """Standard deviations of the last place and of the last displacement, logarithms."""
+    features: Float[np.ndarray, "balls features"]
+
+    def __len__(self) -> int:
+        """Count the balls."""
+        return len(self.radii)
+
+    def taken(self, index: np.ndarray) -> "Balls":
+        """Return some of the balls."""
+        return Balls(*(getattr(self, field.name)[index] for field in fields(self)))
+
+
+def find_balls(
+    detect: Detect,
+    refine: Refine,
+    frames: UInt8[np.ndarray, "4 height width 3"],
+    prompts: Float[np.ndarray, "balls 2"] | None = None,
+    radii: Float[np.ndarray, " balls"] | None = None,
+) -> tuple[Balls, Arrays]:
+    """Find balls; return them, the surest first, and what the detector said besides.
+
+    Parameters
+    ----------
+    prompts
+        Points in the last frame that say which balls are meant; with them those are returned, in
+        their order.
+    radii
+        Of the prompts, NaN where a radius is not known.
+    """
+    said = detect(letterboxed(frames, NETWORK_FRAME_SIZE)[None])
+    if prompts is None:
+        scores = said["scores"][0]
+        kept = scores > LEAST_SCORE
+        kept[:1] = True
+        balls = _looked_at(
+            refine, frames, said["places"][0][kept], said["radii"][0][kept],
+            scores[kept], said["moving"][0][kept],
+        )  # fmt: skip
+        return balls.taken(_apart(balls)), said
+    voted = votes_at(said["votes"][0], prompts)
+    known = voted["radii"] if radii is None else np.where(np.isnan(radii), voted["radii"], radii)
+    places = voted["places"]
+    # A click anywhere on a ball means its centre; one that the cells know nothing of stays.
+    off = np.linalg.norm(places[:, -1] - prompts, axis=-1)
+    stays = off > np.maximum(known, 3 / 64)
+    places[stays, -1] = prompts[stays]
+    balls = _looked_at(refine, frames, places, known, np.ones(len(known)), voted["moving"])
+    return balls, said
+
+
+def by_motion(balls: Balls) -> np.ndarray:
+    """Index of the balls, those that most surely are there and move first."""
+    return np.argsort(-balls.scores * balls.moving, kind="stable")
+
+
+def votes_at(
+    votes: Float[np.ndarray, "layers cells cells"], points: Float[np.ndarray, "balls 2"]
+) -> Arrays:
+    """Return what the cells under points say of the balls there, bilinear."""
+    cells = votes.shape[-1]
+    at = np.clip((points + 1) * (cells / 2) - 0.5, 0, cells - 1)
+    low = np.minimum(at.astype(int), cells - 2)
+    x, y = low.T
+    (dx, dy) = (at - low).T
+    said = (
+        votes[:, y, x] * (1 - dx) * (1 - dy)
+        + votes[:, y, x + 1] * dx * (1 - dy)
+        + votes[:, y + 1, x] * (1 - dx) * dy
+        + votes[:, y + 1, x + 1] * dx * dy
+    ).T
+    count = (said.shape[1] - 3) // 2
+    return {
+        "places": said[:, : 2 * count].reshape(-1, count, 2).copy(),
+        "radii": np.exp(said[:, -3]),
+        "moving": said[:, -1],
+    }
+
+
+def _looked_at(
+    refine: Refine,
+    frames: np.ndarray,
+    places: np.ndarray,
+    radii: np.ndarray,
+    scores: np.ndarray,
+    moving: np.ndarray,
+) -> Balls:
+    for _ in range(PASSES - 1):
+        widths = half_widths(radii)
+        seen = refine(cut_patches(frames, places, widths), ("offsets", "log_radius"))
+        places = places + widths[:, None, None] * seen["offsets"]
+        radii = widths * np.exp(seen["log_radius"])
+    widths = half_widths(radii)
+    seen = refine(cut_patches(frames, places, widths), REFINER_OUTPUTS)
+    places = places + widths[:, None, None] * seen["offsets"]
+    radii = widths * np.exp(seen["log_radius"])
+    visible = 1 / (1 + np.exp(-seen["visible"]))
+    return Balls(
+        places, radii, scores * visible[:, -1], moving, visible,
+        seen["log_sigmas"] + np.log(widths)[:, None], seen["features"],
+    )  # fmt: skip
+
+
+def _apart(balls: Balls) -> np.ndarray:
+    """Index of the balls, the surest first, without those that are others once more."""
+    kept: list[int] = []
+    last = balls.places[:, -1]
+    for one in np.argsort(-balls.scores, kind="stable").tolist():
+        away = [
+            np.linalg.norm(last[one] - last[other])
+            > 0.7 * max(balls.radii[one], balls.radii[other])
+            for other in kept
+        ]
+        if all(away):
+            kept.append(one)
+    return np.array(kept, dtype=np.intp)

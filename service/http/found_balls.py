@@ -1,0 +1,132 @@
+"""Balls that were found or asked for, between a request's pixels and a model's square."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from rollcast.patches import Letterbox
+from rollcast.scene import BallColor
+from rollcast.schemas import BallPrompt, SeenBall
+from service.errors import InvalidValueError
+from service.inference.ball_predictor import BallPredictor, FoundBalls
+
+SURE = 0.5
+"""Score from which on a ball is taken to be there."""
+DOUBTFUL_RADII = 0.5
+"""Standard deviation of a ball's place, in its radii, from which on an answer warns."""
+
+
+class RequestBalls:
+    """The balls of one request.
+
+    Parameters
+    ----------
+    model
+        Finds them.
+    frames
+        As they were sent.
+    prompts
+        Points of the last frame, or None.
+    objects
+        Number of balls, or None.
+
+    Raises
+    ------
+    InvalidValueError
+        When a prompt lies outside the frames, or fewer balls are found than are wanted.
+    """
+
+    def __init__(
+        self,
+        model: BallPredictor,
+        frames: UInt8[np.ndarray, "4 height width 3"],
+        prompts: Sequence[BallPrompt] | None,
+        objects: int | None,
+    ) -> None:
+        self.box = Letterbox(*frames.shape[1:3])
+        points, radii = (None, None) if prompts is None else _points(prompts, self.box)
+        self.found: FoundBalls = model.find(frames, points, radii, objects)
+        self._last = frames[-1]
+
+    @property
+    def count(self) -> int:
+        """Number of balls."""
+        return len(self.found.balls)
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """Where the frame begins in the square, pixels of the frame."""
+        side = self.box.side
+        return (side - self.box.width) / 2, (side - self.box.height) / 2
+
+    @property
+    def scores(self) -> list[float]:
+        """How surely each ball is there."""
+        return [round(score, 4) for score in self.found.balls.scores.tolist()]
+
+    @property
+    def seen(self) -> list[list[SeenBall]]:
+        """Each ball in each observed frame, pixels."""
+        places = self.box.pixels(self.found.balls.places)
+        radii = self.found.balls.radii * (self.box.side / 2)
+        return [
+            [SeenBall(x=x, y=y, radius=radius) for x, y in path]
+            for path, radius in zip(places.tolist(), radii.tolist(), strict=True)
+        ]
+
+    @property
+    def colors(self) -> list[BallColor]:
+        """Mean colour of the middle of each ball in the last frame."""
+        return [self._color(path[-1]) for path in self.seen]
+
+    @property
+    def warnings(self) -> list[list[str]]:
+        """Reasons to trust the forecast of each ball less."""
+        balls = self.found.balls
+        spreads = np.exp(balls.log_sigmas[:, 0]) / balls.radii
+        return [
+            _doubts(path[-1], score, spread)
+            for path, score, spread in zip(
+                self.seen, balls.scores.tolist(), spreads.tolist(), strict=True
+            )
+        ]
+
+    def _color(self, ball: SeenBall) -> BallColor:
+        height, width = self._last.shape[:2]
+        reach = max(ball.radius / 2, 0.5)
+        low_x, low_y = (
+            int(np.clip(at - reach, 0, n - 1)) for at, n in ((ball.x, width), (ball.y, height))
+        )
+        high_x, high_y = int(ball.x + reach) + 1, int(ball.y + reach) + 1
+        part = self._last[low_y : max(high_y, low_y + 1), low_x : max(high_x, low_x + 1)]
+        red, green, blue = part.reshape(-1, 3).mean(axis=0).round().astype(int).tolist()
+        return f"#{red:02x}{green:02x}{blue:02x}"
+
+
+def _points(
+    prompts: Sequence[BallPrompt], box: Letterbox
+) -> tuple[Float[np.ndarray, "balls 2"], Float[np.ndarray, " balls"]]:
+    """Prompts as points of the square, and their radii in its halves."""
+    for index, prompt in enumerate(prompts):
+        if not (0 <= prompt.x <= box.width and 0 <= prompt.y <= box.height):
+            expected = f"a point of the frames of {box.width} x {box.height} pixels"
+            raise InvalidValueError.at(f"balls[{index}]", [prompt.x, prompt.y], expected)
+    pixels = np.array([(prompt.x, prompt.y) for prompt in prompts], float)
+    radii = np.array([np.nan if p.radius is None else p.radius for p in prompts], float)
+    return box.points(pixels), radii / (box.side / 2)
+
+
+def _doubts(ball: SeenBall, score: float, spread: float) -> list[str]:
+    where = f"({ball.x:.1f}, {ball.y:.1f})"
+    if score < SURE:
+        return [
+            f"No ball is seen surely at {where}: the score of {score:.2f} is below {SURE}. "
+            "The forecast may be of something else."
+        ]
+    if spread > DOUBTFUL_RADII:
+        return [
+            f"The place of the ball at {where} is known to {spread:.2g} radii only: "
+            "the forecast may be far off."
+        ]
+    return []

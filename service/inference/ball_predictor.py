@@ -1,0 +1,209 @@
+"""Models for any number of balls: found in frames of any size, then rolled out.
+
+Perception belongs to a request alone, because every request has other balls in frames of another
+size. Rollouts of as many balls each are stepped together, as those of other models.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+
+from rollcast.ball_finding import Arrays as Said
+from rollcast.ball_finding import Balls, by_motion, find_balls
+from rollcast.manifest import (
+    BALL_INPUTS,
+    DETECTOR_FILE,
+    DETECTOR_OUTPUTS,
+    ENCODER_FILE,
+    FRAMES_INPUT,
+    NEXT_PREFIX,
+    PATCHES_INPUT,
+    REFINER_FILE,
+    SCENE_INPUTS,
+    STEP_FILE,
+    Manifest,
+)
+from rollcast.ood import Familiarity
+from rollcast.trajectory import OBSERVED_FRAMES
+from service.errors import InvalidValueError
+from service.inference.rollout import Arrays, Predictor, Step
+
+LEAST_MOVING = 0.5
+"""Confidence from which on a ball that was found is taken to move."""
+
+
+class Session(Protocol):
+    """A graph that can be run."""
+
+    def run(self, outputs: Sequence[str], inputs: Mapping[str, Any], /) -> list[Any]:
+        """Return the named outputs."""
+        ...
+
+
+@dataclass(frozen=True)
+class FoundBalls:
+    """The balls of one request, and what begins its rollout."""
+
+    balls: Balls
+    said: Said
+    """What the detector said of the whole frames."""
+
+    @property
+    def packed(self) -> Float32[np.ndarray, "1 numbers"]:
+        """Inputs of the encoder side by side, so that equal requests can be stacked."""
+        of_balls = [np.ravel(getattr(self.balls, name)) for name in BALL_INPUTS]
+        of_scene = [np.ravel(self.said[name]) for name in SCENE_INPUTS]
+        return np.concatenate([*of_balls, *of_scene])[None].astype(np.float32)
+
+
+class BallPredictor:
+    """The graphs of an artefact for any number of balls. Safe to call from several threads.
+
+    Parameters
+    ----------
+    folder
+        ``models/NAME/VERSION``.
+    manifest
+        Its manifest.
+    open_session
+        Opens a graph.
+    """
+
+    def __init__(
+        self, folder: Path, manifest: Manifest, open_session: Callable[[Path], Session]
+    ) -> None:
+        self.manifest = manifest
+        self.familiarity: Familiarity | None = None
+        self._detector = open_session(folder / DETECTOR_FILE)
+        self._refiner = open_session(folder / REFINER_FILE)
+        self._encoder = open_session(folder / ENCODER_FILE)
+        self._step = open_session(folder / STEP_FILE)
+        self._state = [tensor.name for tensor in manifest.state]
+        self._outputs = list(manifest.output_names)
+        self.rollout = cache(self._rollout)
+
+    def find(
+        self,
+        frames: UInt8[np.ndarray, "4 height width 3"],
+        prompts: Float[np.ndarray, "balls 2"] | None = None,
+        radii: Float[np.ndarray, " balls"] | None = None,
+        objects: int | None = None,
+    ) -> FoundBalls:
+        """Find the balls of one request.
+
+        Parameters
+        ----------
+        prompts
+            Points of the letterboxed square that say which balls are meant.
+        radii
+            Of the prompts, NaN where it is not known.
+        objects
+            Balls that are wanted without prompts; None takes those that move, at least one.
+
+        Raises
+        ------
+        InvalidValueError
+            When fewer balls are found than are wanted.
+        """
+        balls, said = find_balls(self._detect, self._refine, frames, prompts, radii)
+        if prompts is None:
+            balls = balls.taken(_wanted(balls, objects, self.manifest.max_objects or 1))
+        return FoundBalls(balls, said)
+
+    def encode(
+        self,
+        frames: UInt8[np.ndarray, "B K 128 128 3"],
+        *,
+        two_cores: bool = False,  # noqa: ARG002
+    ) -> Step:
+        """Return the first state of the manifest's number of balls, those that move most surely."""
+        objects = self.manifest.objects
+        found = [self.find(each[:OBSERVED_FRAMES], objects=objects) for each in frames]
+        return self.rollout(objects).encode(np.concatenate([one.packed for one in found]))
+
+    def advance(self, state: Arrays) -> Step:
+        """Return the next state and the outputs of its step."""
+        names = [*(f"{NEXT_PREFIX}{name}" for name in self._state), *self._outputs]
+        return self._as_step(self._step.run(names, state))
+
+    def begin(self, seen: Arrays) -> Step:
+        """Return the first state of balls that were found."""
+        return self._as_step(self._encoder.run([*self._state, *self._outputs], seen))
+
+    def _rollout(self, objects: int) -> "BallRollout":
+        return BallRollout(self, objects)
+
+    def _detect(self, frames: np.ndarray) -> Said:
+        said = self._detector.run(DETECTOR_OUTPUTS, {FRAMES_INPUT: frames})
+        return dict(zip(DETECTOR_OUTPUTS, said, strict=True))
+
+    def _refine(self, patches: np.ndarray, wanted: Sequence[str]) -> Said:
+        return dict(zip(wanted, self._refiner.run(wanted, {PATCHES_INPUT: patches}), strict=True))
+
+    def _as_step(self, values: Sequence[np.ndarray]) -> Step:
+        split = len(self._state)
+        return Step(
+            dict(zip(self._state, values[:split], strict=True)),
+            dict(zip(self._outputs, values[split:], strict=True)),
+        )
+
+
+class BallRollout(Predictor):
+    """A model for any number of balls, for requests with as many balls each.
+
+    Parameters
+    ----------
+    model
+        The model.
+    objects
+        Balls of a request.
+    """
+
+    def __init__(self, model: BallPredictor, objects: int) -> None:
+        self.manifest = model.manifest
+        self.familiarity = model.familiarity
+        self._model = model
+        self._objects = objects
+
+    def encode(self, frames: np.ndarray, *, two_cores: bool = False) -> Step:  # noqa: ARG002
+        """Return the first state of packed balls (:attr:`FoundBalls.packed`) of B requests."""
+        count = self._objects
+        shapes = {
+            "places": (count, OBSERVED_FRAMES, 2),
+            "radii": (count,),
+            "log_sigmas": (count, 2),
+            "features": (count, -1),
+            "ground": self.manifest.state[0].shape,
+            "scene": (2,),
+        }
+        known = {name: int(np.prod(shape)) for name, shape in shapes.items() if -1 not in shape}
+        known["features"] = frames.shape[1] - sum(known.values())
+        ends = np.cumsum([known[name] for name in (*BALL_INPUTS, *SCENE_INPUTS)])
+        parts = np.split(frames, ends[:-1], axis=1)
+        return self._model.begin(
+            {
+                name: part.reshape(len(frames), *shapes[name])
+                for name, part in zip((*BALL_INPUTS, *SCENE_INPUTS), parts, strict=True)
+            }
+        )
+
+    def advance(self, state: Arrays) -> Step:
+        """Return the next state and the outputs of its step."""
+        return self._model.advance(state)
+
+
+def _wanted(balls: Balls, objects: int | None, most: int) -> np.ndarray:
+    """Index of the balls that a request without prompts means, those that move first."""
+    order = by_motion(balls)
+    if objects is not None:
+        if len(order) < objects:
+            expected = f"at most {len(order)}, the balls that are found in the frames"
+            raise InvalidValueError.at("objects", objects, expected)
+        return order[:objects]
+    sure = order[(balls.scores * balls.moving)[order] > LEAST_MOVING**2]
+    return sure[:most] if len(sure) else order[:1]

@@ -1,0 +1,95 @@
+"""The finding with networks that are computed by hand: dots on black, told by their brightness."""
+
+import numpy as np
+
+from rollcast.ball_finding import find_balls, votes_at
+from rollcast.patches import Letterbox
+
+CELLS = 32
+RADIUS = 4 / 64
+
+
+def frames_of(paths: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Soft white dots [balls, 4, 2], pixels."""
+    y, x = np.mgrid[:height, :width] + 0.5
+    frames = np.zeros((4, height, width))
+    spread = max(height, width) / 64
+    for path in paths:
+        for frame, at in zip(frames, path, strict=True):
+            frame += np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * spread**2))
+    return np.repeat((255 * np.clip(frames, 0, 1)).astype(np.uint8)[..., None], 3, axis=-1)
+
+
+def detect(frames: np.ndarray) -> dict[str, np.ndarray]:
+    """Every cell says where it lies itself and how bright it is."""
+    cells = frames[0, -1, ..., 0].reshape(CELLS, 4, CELLS, 4).mean(axis=(1, 3)) / 255
+    along = (np.arange(CELLS) + 0.5) * (2 / CELLS) - 1
+    x, y = np.meshgrid(along, along)
+    order = np.argsort(-cells, axis=None)[:16]
+    places = np.stack([np.stack([x, y], axis=-1).reshape(-1, 2)[order]] * 4, axis=1)
+    votes = np.stack([x, y] * 4 + [np.full_like(x, np.log(RADIUS)), cells, np.ones_like(x)])
+    return {
+        "places": places[None],
+        "radii": np.full((1, 16), RADIUS),
+        "scores": cells.reshape(-1)[order][None],
+        "moving": np.ones((1, 16)),
+        "votes": votes[None],
+        "ground": np.zeros((1, 3, CELLS, CELLS)),
+        "scene": np.zeros((1, 2)),
+    }
+
+
+def refine(patches: np.ndarray, wanted) -> dict[str, np.ndarray]:
+    """The centre of brightness of every patch."""
+    bright = np.clip(patches[:, :, 0] + 1, 0, None) + 1e-9
+    along = (np.arange(32) + 0.5) / 16 - 1
+    x, y = np.meshgrid(along, along)
+    total = bright.sum(axis=(2, 3))
+    offsets = np.stack([(bright * x).sum(axis=(2, 3)), (bright * y).sum(axis=(2, 3))], axis=-1)
+    offsets = offsets / total[..., None]
+    count = len(patches)
+    said = {
+        "offsets": offsets,
+        "log_radius": np.zeros(count) + np.log(0.5),
+        "visible": np.where(total > 1, 8.0, -8.0),
+        "log_sigmas": np.zeros((count, 2)),
+        "features": np.zeros((count, 128)),
+    }
+    return {name: said[name] for name in wanted}
+
+
+def test_balls_are_found_once_each_in_frames_of_any_rectangle():
+    for height, width in ((128, 128), (240, 320), (300, 150)):
+        paths = np.array([[[0.3, 0.4]] * 4, [[0.7, 0.6]] * 4]) * (width, height)
+        paths = (
+            paths + np.arange(4)[None, :, None] * np.array([1.0, 0.5]) * max(height, width) / 128
+        )
+        balls, _ = find_balls(detect, refine, frames_of(paths, height, width))
+        sure = balls.taken(np.flatnonzero(balls.scores > 0.5))
+        assert len(sure) == 2
+        seen = Letterbox(height, width).pixels(sure.places)
+        order = np.argsort(seen[:, 0, 0])
+        assert np.abs(seen[order] - paths).max() < 0.6 * max(height, width) / 128
+
+
+def test_prompts_name_the_balls_and_their_order():
+    paths = np.array([[[30.0, 40]] * 4, [[90, 80]] * 4])
+    prompts = (paths[::-1, -1] + 2 - 64) / 64
+    balls, _ = find_balls(detect, refine, frames_of(paths, 128, 128), prompts)
+    assert np.allclose(64 + 64 * balls.places[:, -1], paths[::-1, -1], atol=0.3)
+    assert (balls.scores > 0.9).all()
+
+
+def test_a_prompt_on_nothing_is_answered_with_a_low_score():
+    paths = np.array([[[30.0, 40]] * 4])
+    balls, _ = find_balls(detect, refine, frames_of(paths, 128, 128), np.array([[0.8, 0.8]]))
+    assert len(balls) == 1
+    assert balls.scores[0] < 0.1
+
+
+def test_votes_between_cells_are_interpolated():
+    votes = np.zeros((11, CELLS, CELLS))
+    votes[0] = (np.arange(CELLS) + 0.5) * (2 / CELLS) - 1
+    said = votes_at(votes, np.array([[0.21, -0.4], [5.0, 5.0]]))
+    assert np.isclose(said["places"][0, 0, 0], 0.21)
+    assert np.isclose(said["places"][1, 0, 0], 1 - 1 / CELLS)

@@ -1,0 +1,143 @@
+"""Models for any number of balls over HTTP: prompts, rectangles, balls in the answer."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from service.serving.registry import Registry
+from tests.service.ball_samples import dots, files, served_balls
+from tests.service.samples import body, parts, served
+
+STEP = np.array([1.5, 1.0])
+
+
+@pytest.fixture
+def client(start):
+    return start(lambda *_: Registry([served(), served(name="pair", objects=2), served_balls()]))
+
+
+def paths(*last: tuple[float, float], step: np.ndarray = STEP) -> np.ndarray:
+    """Paths that end somewhere, [balls, 4, 2]."""
+    back = np.arange(-3, 1)[None, :, None] * step
+    return np.array(last, float)[:, None] + back
+
+
+def ask(client, seen: np.ndarray, size=(128, 128), **fields):
+    response = client.post("/predict", json=body(files(dots(seen, *size)), **fields))
+    assert response.status_code == 200, response.text
+    return response.json()
+
+
+def prompt(*points: tuple[float, float]) -> list[dict[str, float]]:
+    return [{"x": x, "y": y} for x, y in points]
+
+
+def test_prompts_choose_the_balls_their_order_and_the_model(client):
+    seen = paths((40, 50), (90, 30), (70, 100))
+    told = ask(client, seen, balls=prompt((91, 31), (41, 49)), horizon=5)
+    assert told["model"]["name"] == "dots"
+    first, second = told["objects"]
+    assert np.allclose(first["positions"][0], [90, 30], atol=0.5)
+    assert np.allclose(second["positions"][0], [40, 50], atol=0.5)
+    assert np.allclose(second["positions"][4], np.array([40, 50]) + 4 * STEP, atol=2)
+    path = [[place["x"], place["y"]] for place in second["seen"]]
+    assert np.allclose(path, seen[0], atol=0.5)
+    assert first["score"] > 0.9
+    assert first["warnings"] == []
+    assert int(first["color"][1:3], 16) > 100
+
+
+@pytest.mark.parametrize("size", [(240, 320), (320, 240), (1000, 600)])
+def test_answers_are_in_the_pixels_of_any_rectangle(client, size):
+    height, width = size
+    scale = max(size) / 128
+    seen = paths((0.4 * width, 0.7 * height), step=scale * STEP)
+    told = ask(client, seen, size, balls=prompt((0.4 * width + 2, 0.7 * height)), horizon=2)
+    (ball,) = told["objects"]
+    assert told["frame_size"] == [width, height]
+    assert np.allclose(ball["positions"][0], seen[0, -1], atol=0.6 * scale)
+    assert np.allclose(ball["covariances"][0], scale**2 * np.eye(2))
+    assert np.allclose(ball["seen"][0]["x"], seen[0, 0, 0], atol=0.6 * scale)
+
+
+def test_without_prompts_as_many_balls_as_move_are_followed(client):
+    told = ask(client, paths((40, 50), (90, 30), (70, 100)), model="dots")
+    assert len(told["objects"]) == 3
+    assert len(ask(client, paths((40, 50), (90, 30)), model="dots", objects=1)["objects"]) == 1
+
+
+def test_more_balls_than_other_models_follow_come_from_one_for_any_number(client):
+    seen = paths(*((20 + 22 * k, 30 + 15 * (k % 3)) for k in range(5)))
+    told = ask(client, seen, objects=5)
+    assert told["model"]["name"] == "dots"
+    assert ask(client, seen[:1])["model"]["name"] == "dot"
+
+
+def test_a_prompt_on_nothing_is_answered_and_doubted(client):
+    (ball,) = ask(client, paths((40, 50)), balls=prompt((110, 110)))["objects"]
+    assert ball["score"] < 0.5
+    assert "No ball is seen surely" in ball["warnings"][0]
+
+
+def test_a_stream_closes_with_what_was_seen(client):
+    request = body(files(dots(paths((40, 50)), 128, 128)), balls=prompt((40, 50)), horizon=3)
+    response = client.post("/predict/stream", json=request)
+    events = [line[6:] for line in response.text.splitlines() if line.startswith("data: ")]
+    (ball,) = json.loads(events[-1])["objects"]
+    assert ball["score"] > 0.9
+    assert len(ball["seen"]) == 4
+
+
+def test_prompts_come_as_json_in_a_form(client):
+    images = files(dots(paths((40, 50), (90, 30)), 128, 128))
+    form = {"balls": json.dumps(prompt((90, 30))), "horizon": "2"}
+    response = client.post("/predict", files=parts(images), data=form)
+    assert response.status_code == 200, response.text
+    assert np.allclose(response.json()["objects"][0]["positions"][0], [90, 30], atol=0.5)
+
+
+def test_requests_for_other_numbers_of_balls_do_not_mix(client):
+    places = [(30 + 20 * k, 40 + 12 * (k % 3)) for k in range(4)]
+
+    def one(number: int) -> None:
+        chosen = places[: number % 4 + 1]
+        told = ask(client, paths(*chosen), balls=prompt(*chosen), horizon=8)
+        found = [ball["positions"][0] for ball in told["objects"]]
+        assert np.allclose(found, chosen, atol=0.6)
+
+    with ThreadPoolExecutor(6) as pool:
+        list(pool.map(one, range(24)))
+
+
+@pytest.mark.parametrize(
+    ("fields", "field", "expected"),
+    [
+        ({"balls": prompt((140, 3))}, "balls[0]", "a point of the frames of 128 x 128 pixels"),
+        ({"balls": prompt((4, 3), (3, -1))}, "balls[1]", "a point of the frames"),
+        ({"balls": []}, "balls", "1 items"),
+        ({"balls": prompt(*[(9, 9)] * 9)}, "balls", "at most 8"),
+        ({"balls": [{"x": 1, "y": 2, "radius": 0}]}, "balls.0.radius", "greater than 0"),
+        ({"balls": "no"}, "balls", "JSON"),
+        ({"balls": prompt((4, 3)), "objects": 2}, "objects", "1, the number of balls"),
+        ({"balls": prompt((4, 3)), "model": "dot"}, "balls", "none: dot@1"),
+        ({"model": "dots", "objects": 3}, "objects", "at most"),
+        ({"model": "dot", "objects": 3}, "objects", "1, the number of balls of dot@1"),
+        ({"objects": 9}, "objects", "less than or equal to 8"),
+    ],
+)
+def test_what_does_not_fit_is_refused(client, fields, field, expected):
+    images = files(dots(paths((40, 50)), 128, 128))
+    response = client.post("/predict", json=body(images, **fields))
+    problem = response.json()
+    assert response.status_code == 422, problem
+    assert problem["field"].startswith(field.split(".")[0].split("[")[0])
+    assert expected in json.dumps(problem)
+
+
+def test_rectangles_are_for_models_that_read_them(client):
+    images = files(dots(paths((40, 50)), 100, 128))
+    response = client.post("/predict", json=body(images, model="dot"))
+    assert response.status_code == 422
+    assert "square" in response.json()["detail"]

@@ -1,0 +1,73 @@
+"""Batches that teach a perception of any number of balls.
+
+Balls are padded to :data:`MOST_BALLS`. Lengths are halves of the frame in image axes (x right, y
+down, z towards the camera), what is not known is NaN and costs nothing.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+MOST_BALLS = 8
+
+
+class BallWindow(NamedTuple):
+    """What one window shows and what comes after, of N balls."""
+
+    frames: UInt8[np.ndarray, "seen 128 128 3"]
+    places: Float[np.ndarray, "balls seen 2"]
+    """Where the balls are seen, shaken as the picture is."""
+    radii: Float[np.ndarray, " balls"]
+    visible: Float[np.ndarray, "balls seen"]
+    """Shares that nothing hides."""
+    moving: Float[np.ndarray, " balls"]
+    """1 where a ball moves, 0 where it rests."""
+    centres: Float[np.ndarray, "balls steps 3"]
+    """From the first seen frame to the last step, without the picture's shake."""
+    spins: Float[np.ndarray, "balls steps 3"]
+    """rad/s, from t = 0 to the last step."""
+    ground: Float[np.ndarray, "3 cells cells"]
+    """See :func:`training.data.rest_height_map.resting_ground`."""
+    scene: Float[np.ndarray, "2"]
+    """See :func:`training.networks.perception.measures_of`; of the first ball."""
+
+
+class BallBatch(NamedTuple):
+    """Windows side by side; balls that are not there are NaN, ``there`` is 0."""
+
+    frames: Tensor
+    places: Tensor
+    radii: Tensor
+    visible: Tensor
+    moving: Tensor
+    centres: Tensor
+    spins: Tensor
+    ground: Tensor
+    scene: Tensor
+    there: Tensor
+    """[B, M]."""
+
+
+def collate(windows: Sequence[BallWindow]) -> BallBatch:
+    """Stack windows, their balls padded."""
+    padded = {
+        name: torch.stack([_padded(getattr(window, name)) for window in windows])
+        for name in ("places", "radii", "visible", "moving", "centres", "spins")
+    }
+    return BallBatch(
+        frames=torch.from_numpy(np.stack([window.frames for window in windows])),
+        ground=torch.from_numpy(np.stack([w.ground for w in windows]).astype(np.float32)),
+        scene=torch.from_numpy(np.stack([w.scene for w in windows]).astype(np.float32)),
+        there=(~padded["radii"].isnan()).float(),
+        **padded,
+    )
+
+
+def _padded(array: np.ndarray) -> Tensor:
+    full = np.full((MOST_BALLS, *array.shape[1:]), np.nan, np.float32)
+    full[: len(array)] = array
+    return torch.from_numpy(full)

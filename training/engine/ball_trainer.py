@@ -1,0 +1,269 @@
+"""Trains a perception of any number of balls: resumable at any moment, unattended."""
+
+import json
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, IterableDataset
+
+from rollcast.trajectory import OBSERVED_FRAMES
+from training.common.precision import mixed_precision
+from training.data.ball_batch import BallBatch
+from training.engine.loop import warmed_average
+from training.networks.any_ball import AnyBallNet
+from training.networks.ball_detector import PIXEL, BallMaps, peaks, voted
+from training.networks.patches import half_widths
+from training.objectives.detection import DetectionLoss, RefinementLoss, chosen
+
+CHECKPOINT = "checkpoint.pt"
+LOG = "log.jsonl"
+VISIBLE = 0.3
+"""Share of a ball that has to be seen in the last frame for its patches to teach."""
+
+
+@dataclass(frozen=True)
+class BallTraining:
+    """What a training of the perception is determined by, besides its data.
+
+    Attributes
+    ----------
+    batches
+        Budget.
+    looked_at
+        Balls per window, in the mean, whose patches are cut.
+    """
+
+    batches: int
+    batch_size: int = 24
+    looked_at: float = 1.3
+    learning_rate: float = 8e-4
+    warm_up: int = 100
+    gradient_clip: float = 5.0
+    average_decay: float = 0.998
+    seed: int = 1
+    frozen: tuple[str, ...] = ("rolling.", "first_doubt.", "unsure.")
+    fresh: tuple[str, ...] = (
+        "eye.detector.said",
+        "eye.refiner.registration.",
+        "eye.refiner.weighing.",
+        "eye.refiner.looks.",
+        "eye.refiner.sigmas.",
+    )
+    """Parts that begin with nothing learned."""
+    fresh_rate: float = 3.0
+    """Of their learning, relative to everything else's."""
+
+
+class BallTrainer:
+    """One training run in a folder of its own."""
+
+    def __init__(self, network: AnyBallNet, training: BallTraining, folder: Path) -> None:
+        torch.manual_seed(training.seed)
+        self.network = network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        self.training = training
+        self.folder = folder
+        groups: dict[float, list[torch.nn.Parameter]] = {1.0: [], training.fresh_rate: []}
+        for name, parameter in network.named_parameters():
+            if not name.startswith(training.frozen):
+                fresh = name.startswith(training.fresh)
+                groups[training.fresh_rate if fresh else 1.0].append(parameter)
+        self._learned = [parameter for group in groups.values() for parameter in group]
+        self._optimiser = torch.optim.AdamW(
+            [{"params": group, "share": share} for share, group in groups.items()],
+            training.learning_rate,
+            betas=(0.9, 0.95),
+            weight_decay=0.01,
+        )
+        self.average = torch.optim.swa_utils.AveragedModel(
+            network, multi_avg_fn=warmed_average(training.average_decay)
+        )
+        self._detection, self._refinement = DetectionLoss(), RefinementLoss()
+        self.batches = 0
+        self._saved = time.monotonic()
+
+    def run(
+        self, stream: IterableDataset[BallBatch], workers: int, report_every: int = 100
+    ) -> Iterator[int]:
+        """Train to the end of the budget; yields after every report, for others to look in."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        ahead = 4 if workers else None
+        loader = DataLoader(stream, batch_size=None, num_workers=workers, prefetch_factor=ahead)
+        sums: dict[str, float] = {}
+        began = time.monotonic()
+        for batch in loader:
+            for name, value in self._step(batch).items():
+                sums[name] = sums.get(name, 0.0) + value / report_every
+            if self.batches % report_every == 0:
+                seconds = (time.monotonic() - began) / report_every
+                self._report({"seconds": seconds, **sums})
+                sums, began = {}, time.monotonic()
+                yield self.batches
+            if time.monotonic() - self._saved > 120 or self.batches >= self.training.batches:
+                self.save()
+            if self.batches >= self.training.batches:
+                return
+
+    def _step(self, batch: BallBatch) -> dict[str, float]:
+        training = self.training
+        spent = self.batches / training.batches
+        rate = min((self.batches + 1) / training.warm_up, 1.0)
+        rate *= 0.02 + 0.98 * 0.5 * (1 + torch.cos(torch.tensor(torch.pi * spent)).item())
+        for group in self._optimiser.param_groups:
+            group["lr"] = rate * training.learning_rate * group["share"]
+        parts = self.losses(batch)
+        loss = torch.stack(list(parts.values())).sum()
+        self._optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        length = torch.nn.utils.clip_grad_norm_(self._learned, training.gradient_clip)
+        if torch.isfinite(length):
+            self._optimiser.step()
+            self.average.update_parameters(self.network)
+        self.batches += 1
+        return {"loss": loss.item(), "gradient": length.item()} | {
+            name: part.item() for name, part in parts.items()
+        }
+
+    def losses(self, batch: BallBatch) -> dict[str, Tensor]:
+        """Parts of the loss of a batch by name."""
+        eye = self.network.eye
+        with mixed_precision(batch.places.device):
+            maps = eye.detector.maps(batch.frames)
+        parts = self._detection(maps, batch)
+        generator = torch.Generator().manual_seed(self.batches + 7919 * self.training.seed)
+        rows = _rows(batch, self.training.looked_at, generator)
+        balls, places, radii = _beginnings(batch, maps, rows, generator)
+        with mixed_precision(batch.places.device):
+            # A pass learns the first look of a half, the second one of the others.
+            seen = eye.refine(balls.frames, places, radii, passes=1)
+        beginning = eye.begin(seen, maps.ground[rows.window], maps.scene[rows.window])
+        return parts | self._refinement(seen, beginning, balls)
+
+    def _report(self, values: Mapping[str, float]) -> None:
+        line = {"batches": self.batches, **{name: round(v, 4) for name, v in values.items()}}
+        with (self.folder / LOG).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+
+    def save(self) -> None:
+        """Write a checkpoint, whole or not at all."""
+        unfinished = self.folder / f"{CHECKPOINT}.tmp"
+        torch.save(
+            {
+                "batches": self.batches,
+                "network": self.network.state_dict(),
+                "average": self.average.state_dict(),
+                "optimiser": self._optimiser.state_dict(),
+            },
+            unfinished,
+        )
+        unfinished.replace(self.folder / CHECKPOINT)
+        self._saved = time.monotonic()
+
+    def resume(self) -> bool:
+        """Go on from the last checkpoint; return whether there is one."""
+        path = self.folder / CHECKPOINT
+        if not path.exists():
+            return False
+        kept = torch.load(path, map_location="cpu", weights_only=True)
+        self.network.load_state_dict(kept["network"])
+        self.average.load_state_dict(kept["average"])
+        self._optimiser.load_state_dict(kept["optimiser"])
+        self.batches = kept["batches"]
+        return True
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Which balls are looked at closer: [M] each."""
+
+    window: Tensor
+    ball: Tensor
+
+
+def _rows(batch: BallBatch, looked_at: float, generator: torch.Generator) -> _Rows:
+    """So many balls in the mean, of different windows first; those that move more often."""
+    seen = batch.there * (batch.visible[:, :, -1].nan_to_num() > VISIBLE)
+    drawn = torch.rand(seen.shape, generator=generator) + 0.7 * batch.moving.nan_to_num()
+    drawn = torch.where(seen > 0, drawn, -1.0)
+    best = drawn.argmax(dim=1)
+    first = torch.arange(len(seen))
+    kept = (seen[first, best] > 0) & (torch.rand(len(seen), generator=generator) < looked_at)
+    window, ball = first[kept], best[kept]
+    drawn[window, ball] = -1.0
+    more = max(int(looked_at * len(seen)) - len(window), 0)
+    values, flat = drawn.flatten().topk(min(more, drawn.numel()))
+    flat = flat[values > 0]
+    window = torch.cat([window, flat // seen.shape[1]])
+    return _Rows(window, torch.cat([ball, flat % seen.shape[1]]))
+
+
+def _beginnings(
+    batch: BallBatch, maps: BallMaps, rows: _Rows, generator: torch.Generator
+) -> tuple[BallBatch, Tensor, Tensor]:
+    """Truth of the balls that are looked at [M, 1, ...], and where their first patches lie.
+
+    There, as when it counts, the detector says where to look; prompts say it less exactly, and
+    full-size frames show more of a ball than the detector saw, so places and radii are jittered.
+    Some patches lie where there is no ball.
+    """
+    whole = BallBatch(*(field[rows.window] for field in batch))
+    balls = chosen(whole, rows.ball[:, None])
+    count = len(rows.window)
+
+    def uniform(*shape: int) -> Tensor:
+        return torch.rand(shape, generator=generator)
+
+    def within(reach: Tensor, frames: int) -> Tensor:
+        """Points of discs [M, 1, frames, 2]."""
+        angle = 2 * torch.pi * uniform(count, 1, frames)
+        away = reach[..., None] * uniform(count, 1, frames).sqrt()
+        return away[..., None] * torch.stack([angle.cos(), angle.sin()], dim=-1)
+
+    radii = balls.radii
+    clicked = (
+        balls.places[:, :, -1]
+        + within(torch.maximum(0.5 * radii, 1.5 * PIXEL * radii**0), 1)[:, :, 0]
+    )
+    with torch.no_grad():
+        said = voted(BallMaps(*(part[rows.window].detach() for part in maps)), clicked)
+        off = (said.places - balls.places).norm(dim=-1).amax(dim=-1)
+        widths = half_widths(radii)
+        lost = off > 0.8 * widths
+        # Half as the second pass has them, nearly centred.
+        reach = torch.where(uniform(count, 1) < 0.3, 0.35, 0.06) * widths
+        made = balls.places + within(reach, OBSERVED_FRAMES)
+        instead = lost | (uniform(count, 1) < 0.65)
+        places = torch.where(instead[..., None, None], made, said.places)
+        size = torch.where(instead, radii, said.radii.clamp(0.4 * radii, 2.5 * radii))
+        spread = torch.where(reach > 0.2 * widths, 0.25, 0.08)
+        size = size * torch.exp(spread * torch.randn(size.shape, generator=generator))
+        nowhere = _nowhere(batch, maps, rows, generator)
+        empty = nowhere.isfinite().all(dim=-1) & (uniform(count) < 0.12)
+        away = nowhere[:, None, None].expand_as(places)
+        places = torch.where(empty[:, None, None, None], away, places)
+    there = balls.there * (~empty).float()[:, None]
+    visible = balls.visible * there[..., None]
+    unknown = torch.where(empty[:, None, None, None], torch.nan, balls.centres)
+    spins = torch.where(empty[:, None, None, None], torch.nan, balls.spins)
+    balls = balls._replace(there=there, visible=visible, centres=unknown, spins=spins)
+    return balls, places, size
+
+
+def _nowhere(batch: BallBatch, maps: BallMaps, rows: _Rows, generator: torch.Generator) -> Tensor:
+    """Points [M, 2] that lie on no ball, where the detector sees one rather than elsewhere."""
+    candidates = peaks(BallMaps(*(part.detach() for part in maps)))
+    points = candidates.places[:, :, -1]
+    drawn = 2 * torch.rand(points.shape, generator=generator) - 1
+    points = torch.where(torch.rand(points.shape[:2], generator=generator)[..., None] < 0.5, points,
+                         drawn)  # fmt: skip
+    apart = (points[:, :, None] - batch.places[:, None, :, -1]).norm(dim=-1)
+    clear = torch.where(
+        batch.there[:, None] > 0, apart > 1.5 * batch.radii[:, None] + 3 * PIXEL, True
+    ).all(dim=-1)
+    first = clear.float().argmax(dim=1)
+    found = points[torch.arange(len(points)), first]
+    found = torch.where(clear.any(dim=1)[:, None], found, torch.nan)
+    return found[rows.window]

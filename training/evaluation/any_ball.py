@@ -1,0 +1,124 @@
+"""How well a network for any number of balls sees and forecasts, against what is true."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from scipy.optimize import linear_sum_assignment
+
+from rollcast.ball_finding import Arrays, Balls, by_motion, find_balls
+from rollcast.camera import NETWORK_FRAME_SIZE
+from training.data.windows import Window
+from training.evaluation.evaluate import EvaluationSet, Shown
+from training.networks.any_ball import AnyBallNet, Seen
+from training.networks.ball_detector import peaks
+from training.objectives.metrics import Forecasts, beside_truth
+
+HALF = NETWORK_FRAME_SIZE / 2
+
+
+class TorchFinder:
+    """A network's functions as :func:`rollcast.ball_finding.find_balls` asks for them."""
+
+    def __init__(self, network: AnyBallNet) -> None:
+        self.network = network.eval()
+
+    def detect(self, frames: UInt8[np.ndarray, "1 4 128 128 3"]) -> Arrays:
+        """Frames to candidates, votes and maps."""
+        with torch.inference_mode():
+            maps = self.network.eye.detector.maps(torch.from_numpy(np.ascontiguousarray(frames)))
+            found = peaks(maps)
+            votes = torch.cat(
+                [
+                    maps.places.flatten(1, 2), maps.log_radius[:, None],
+                    maps.heat[:, None].sigmoid(), maps.moving[:, None].sigmoid(),
+                ],
+                dim=1,
+            )  # fmt: skip
+        said = {**found._asdict(), "votes": votes, "ground": maps.ground, "scene": maps.scene}
+        return {name: value.numpy() for name, value in said.items()}
+
+    def refine(
+        self, patches: Float[np.ndarray, "balls 4 3 32 32"], wanted: Sequence[str]
+    ) -> Arrays:
+        """Patches to what is wanted of them."""
+        with torch.inference_mode():
+            said = self.network.eye.refiner(torch.from_numpy(patches.astype(np.float32)))
+        return {name: getattr(said, name).numpy() for name in wanted}
+
+    def find(
+        self,
+        frames: UInt8[np.ndarray, "4 height width 3"],
+        prompts: Float[np.ndarray, "balls 2"] | None = None,
+    ) -> tuple[Balls, Arrays]:
+        """Find balls, see :func:`rollcast.ball_finding.find_balls`."""
+        return find_balls(self.detect, self.refine, frames, prompts)
+
+    def forecast(self, balls: Balls, said: Arrays, horizon: int) -> dict[str, np.ndarray]:
+        """Positions [N, T, 2] in px of 128, covariances and angular velocities of the steps."""
+
+        def tensor(array: np.ndarray) -> torch.Tensor:
+            return torch.from_numpy(np.asarray(array, np.float32))[None]
+
+        with torch.inference_mode():
+            places = tensor(balls.places)
+            seen = Seen(
+                places, places, tensor(balls.radii), tensor(balls.visible),
+                tensor(balls.log_sigmas), tensor(balls.features),
+            )  # fmt: skip
+            ground, scene = tensor(said["ground"][0]), tensor(said["scene"][0])
+            beginning = self.network.eye.begin(seen, ground, scene)
+            state = self.network.state(seen, beginning, ground)
+            made = self.network.roll_out(state, horizon)
+        assert made.covariances is not None
+        assert made.angular_velocities is not None
+        return {
+            "positions": made.positions[0].numpy(),
+            "covariances": made.covariances[0].numpy(),
+            "angular_velocities": made.angular_velocities[0].numpy(),
+        }
+
+
+def matched(found: Float[np.ndarray, "found 2"], truth: Float[np.ndarray, "balls 2"]) -> np.ndarray:
+    """Index of the found ball that is each true one, by the least sum of distances."""
+    apart = np.linalg.norm(found[None] - truth[:, None], axis=-1)
+    rows, columns = linear_sum_assignment(apart)
+    index = np.full(len(truth), -1)
+    index[rows] = columns
+    return index
+
+
+def forecast_sets(
+    finder: TorchFinder, sets: Sequence[EvaluationSet[Shown]]
+) -> Mapping[Shown, Forecasts]:
+    """Forecast the balls that move in every window up to T_gen, each beside the truth it is of."""
+    return {part.scenario: forecast_windows(finder, part.windows, part.horizon) for part in sets}
+
+
+def forecast_windows(finder: TorchFinder, windows: Sequence[Window], horizon: int) -> Forecasts:
+    """Forecast windows of as many balls each, all of which move.
+
+    A ball that was not found is forecast to be in the middle of the frame, very unsurely.
+    """
+    rows = [_forecast_one(finder, window, horizon) for window in windows]
+    positions, covariances, spins = (np.stack(parts) for parts in zip(*rows, strict=True))
+    return beside_truth(windows, positions, covariances, spins)
+
+
+def _forecast_one(
+    finder: TorchFinder, window: Window, horizon: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    count = len(window.positions)
+    balls, said = finder.find(window.frames)
+    balls = balls.taken(by_motion(balls)[:count])
+    made = finder.forecast(balls, said, horizon)
+    index = matched(made["positions"][:, 0], window.positions[:, 0])
+    positions = np.full((count, horizon, 2), HALF, np.float32)
+    covariances = np.tile(np.float32(HALF**2) * np.eye(2, dtype=np.float32), (count, horizon, 1, 1))
+    spins = np.zeros((count, horizon, 3), np.float32)
+    found = index >= 0
+    positions[found] = made["positions"][index[found]]
+    covariances[found] = made["covariances"][index[found]]
+    spins[found] = made["angular_velocities"][index[found]]
+    return positions, covariances, spins

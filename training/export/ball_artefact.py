@@ -1,0 +1,232 @@
+"""Exports the network for any number of balls as one artefact, and proves the export."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from rollcast.ball_finding import by_motion, find_balls
+from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.manifest import (
+    CARD_FILE,
+    GOLDEN_FILE,
+    MANIFEST_FILE,
+    OUTPUT_SHAPES,
+    CovarianceSource,
+    Manifest,
+    MetricRow,
+    Output,
+    OutputName,
+    Parity,
+    StateTensor,
+)
+from rollcast.scene import MAX_BALLS, Scenario
+from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
+from training.evaluation.any_ball import TorchFinder, forecast_sets
+from training.evaluation.evaluate import EvaluationSet, markdown_table, metric_rows
+from training.export.any_ball import OUTPUTS, STATE_NAMES, BallGraphs, write_ball_graphs
+from training.export.export import TOLERANCE, UNITS, evaluate, hashes, with_covariance
+from training.export.spec import LICENCE
+from training.export.weight_rounding import round_weights
+from training.networks.any_ball import AnyBallNet
+from training.networks.fieldnet import NUMBERS
+
+GOLDEN_WINDOWS = 2
+PROVED_NUMBERS = (1, 2, 5, MAX_BALLS)
+"""Numbers of balls for which torch and ONNX Runtime are compared."""
+PROVED_STEPS = 5
+"""Steps up to which they are: prompts on nothing begin states whose rollouts magnify rounding. The
+golden values prove one ball up to the trained horizon."""
+
+Sets = Mapping[int, Sequence[EvaluationSet[Scenario]]]
+"""Evaluation sets by their number of balls."""
+
+
+@dataclass(frozen=True)
+class TrainedBalls:
+    """The trained network, with what is said of it."""
+
+    name: str
+    network: AnyBallNet
+    sequences: int
+    """Training windows that its weights have seen."""
+    horizon: int
+    """Steps of the longest rollouts that trained its motion."""
+    sources: Mapping[str, int]
+    """Training scenes by kind."""
+    seed: int
+
+
+def export_balls(
+    trained: TrainedBalls, folder: Path, version: int, validation: Sets, test: Sets
+) -> Manifest:
+    """Write ``models/NAME/VERSION`` and prove that it computes what torch does.
+
+    Parameters
+    ----------
+    validation, test
+        Scenes that fit the covariances and choose models, and scenes that the card reports; of one
+        ball at least.
+
+    Raises
+    ------
+    ValueError
+        When torch and ONNX Runtime differ by more than the tolerance.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    network = trained.network.cpu().eval()
+    round_weights([network.eye])
+    write_ball_graphs(network, folder)
+    finder, graphs = TorchFinder(network), BallGraphs(folder)
+    frames = [part.windows[0].frames for part in validation[1]]
+    _write_golden(finder, frames[:GOLDEN_WINDOWS], trained.horizon, folder)
+    parity = measure_ball_parity(finder, graphs, frames[0], min(trained.horizon, PROVED_STEPS))
+    judged = evaluate(partial(forecast_sets, finder), validation[1], test[1], trained.horizon)
+    several = {
+        balls: _rows(finder, test[balls], judged.covariance, trained.horizon)
+        for balls in sorted(test)
+        if balls > 1
+    }
+    rows = [row for row in judged.rows if row.split == "test"]
+    (folder / CARD_FILE).write_text(_card(trained, version, rows, several), encoding="utf-8")
+    manifest = Manifest(
+        format_version=2,
+        name=trained.name,
+        version=version,
+        default=True,
+        variant="fieldnet",
+        preset="any-ball",
+        scenarios=tuple(part.scenario for part in validation[1]),
+        objects=1,
+        max_objects=MAX_BALLS,
+        observed_frames=OBSERVED_FRAMES,
+        frames=OBSERVED_FRAMES,
+        frame_rate_hz=FRAME_RATE_HZ,
+        frame_size=NETWORK_FRAME_SIZE,
+        trained_horizon=trained.horizon,
+        state=(
+            StateTensor(name=STATE_NAMES[0], shape=(3, 32, 32)),
+            StateTensor(name=STATE_NAMES[1], shape=(1, NUMBERS)),
+        ),
+        outputs=tuple(
+            Output(name=name, shape=(1, *OUTPUT_SHAPES[name]), unit=UNITS[name]) for name in OUTPUTS
+        ),
+        covariance=judged.covariance,
+        angular_velocity=True,
+        training={
+            "sequences": trained.sequences,
+            "seed": trained.seed,
+            "interaction": True,
+            "scenes": dict(trained.sources),
+        },
+        metrics=judged.rows,
+        validation_error_px=judged.validation_error_px,
+        parity=parity,
+        golden_tolerance={name: TOLERANCE[name] for name in OUTPUTS},
+        files=hashes(folder),
+        licence=LICENCE,
+    )
+    manifest.write(folder / MANIFEST_FILE)
+    return manifest
+
+
+def _rows(
+    finder: TorchFinder,
+    sets: Sequence[EvaluationSet[Scenario]],
+    covariance: CovarianceSource,
+    horizon: int,
+) -> list[MetricRow]:
+    made = with_covariance(forecast_sets(finder, sets), covariance)
+    return metric_rows(sets, made, min(horizon, sets[0].horizon))
+
+
+def _write_golden(
+    finder: TorchFinder, frames: Sequence[np.ndarray], horizon: int, folder: Path
+) -> None:
+    """Keep what torch makes of windows without prompts: one ball, that which most surely moves."""
+    rows: list[dict[str, np.ndarray]] = []
+    for window in frames:
+        balls, said = finder.find(window)
+        rows.append(finder.forecast(balls.taken(by_motion(balls)[:1]), said, horizon))
+    stacked = {name: np.stack([row[name] for row in rows]) for name in OUTPUTS}
+    np.savez_compressed(
+        folder / GOLDEN_FILE, allow_pickle=False, frames=np.stack(frames), **stacked
+    )
+
+
+def measure_ball_parity(
+    finder: TorchFinder,
+    graphs: BallGraphs,
+    frames: np.ndarray,
+    horizon: int,
+    numbers: Sequence[int] = PROVED_NUMBERS,
+) -> Parity:
+    """Compare torch with ONNX Runtime for some numbers of balls, from the frames on.
+
+    The prompts lie on a spiral over the frame, on balls and beside them: what is seen there need
+    not be a ball to be compared.
+
+    Raises
+    ------
+    ValueError
+        When an output differs by more than its tolerance.
+    """
+    worst: dict[OutputName, float] = {}
+    for number in numbers:
+        turn, away = 2.4 * np.arange(number), 0.7 * np.sqrt((np.arange(number) + 0.5) / number)
+        prompts = np.stack([away * np.cos(turn), away * np.sin(turn)], axis=-1)
+        expected_balls, said = finder.find(frames, prompts)
+        expected = finder.forecast(expected_balls, said, horizon)
+        balls, said = find_balls(graphs.detect, graphs.refine, frames, prompts)
+        for name, value in graphs.roll(balls, said, horizon).items():
+            difference = float(np.abs(value - expected[name]).max())
+            worst[name] = max(worst.get(name, 0.0), difference)
+    for name, difference in worst.items():
+        if not difference <= TOLERANCE[name]:
+            raise ValueError(
+                f"{name}: torch and ONNX differ by {difference}, over {TOLERANCE[name]}"
+            )
+    return Parity(
+        max_abs_error={name: float(f"{value:.2e}") for name, value in worst.items()},
+        tolerance={name: TOLERANCE[name] for name in worst},
+    )
+
+
+def _card(
+    trained: TrainedBalls,
+    version: int,
+    rows: Sequence[MetricRow],
+    several: Mapping[int, Sequence[MetricRow]],
+) -> str:
+    sources = ", ".join(f"{count} {source}" for source, count in trained.sources.items())
+    tables = "\n\n".join(
+        f"### {balls} balls, test\n\n{markdown_table(found)}" for balls, found in several.items()
+    )
+    return f"""# {trained.name}@{version}
+
+FieldNet for any number of balls, 1 to {MAX_BALLS}, with or without prompts that say which ones are
+meant. It finds balls in frames of any size (a detector at 128 x 128, patches out of the frames as
+they were sent) and forecasts {trained.horizon} steps at {FRAME_RATE_HZ:g} Hz.
+
+- Trained on {trained.sequences:,} windows: simulated scenes ({sources}), as they are, in other
+  looks, and of planar scenes with up to {MAX_BALLS} balls.
+- Uncertainty: predicted by the network, times a scale per step fitted on validation.
+- Limits: motion is learned from simulated bowls and heightfields; beyond step {trained.horizon} it
+  extrapolates past its training.
+- Licence: {LICENCE}.
+
+## Measured
+
+128-pixel units, mean over scenes that training never saw, from the fixed test start. Nothing says
+which balls are meant or how many: as many as move are taken, those that do so most surely, and
+each is compared with the true ball that it is nearest to at t = 0. T is the horizon, so the error
+is that of step T - 1.
+
+### 1 ball, test
+
+{markdown_table(rows)}
+
+{tables}
+"""

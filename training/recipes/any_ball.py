@@ -1,0 +1,71 @@
+"""The network for any number of balls: what it begins with, and what it is trained on."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from rollcast.scene import SMALL_RADIUS_M
+from training.data.ball_windows import BallSource, BallWindowMaker
+from training.data.scene_cache import load_scene_cache
+from training.data.shards import Source, Variety, load_recordings, simulate_split
+from training.data.splits import Split
+from training.networks.any_ball import AnyBallNet
+from training.recipes.recipe import DataShare
+
+ANY_BALL_DATA = (
+    DataShare(Source("hemisphere"), 600, 0.14, 200),
+    DataShare(Source("ellipsoid"), 1000, 0.26, 200),
+    DataShare(Source("heightfield"), 400, 0.24, 140),
+    DataShare(Source("hemisphere", radius_m=SMALL_RADIUS_M), 100, 0.02, 200),
+    DataShare(Source("ellipsoid", radius_m=SMALL_RADIUS_M), 100, 0.02, 200),
+    DataShare(Source("hemisphere", variety=Variety()), 500, 0.08, 200),
+    DataShare(Source("ellipsoid", variety=Variety()), 600, 0.1, 200),
+    DataShare(Source("heightfield", variety=Variety()), 300, 0.1, 140),
+    DataShare(Source("ellipsoid", 2), 500, 0.17, 200),
+    DataShare(Source("ellipsoid", 3), 400, 0.17, 200),
+)
+"""Scenes of one, two and three balls; planar scenes have up to eight."""
+
+
+def ball_sources(
+    data: Sequence[DataShare] = ANY_BALL_DATA, split: Split = "training", workers: int = 1
+) -> list[BallSource]:
+    """Return the simulated scenes, simulated where they are missing."""
+    sources: list[BallSource] = []
+    for part in data:
+        shards = simulate_split(part.source, split, part.scenes, workers)
+        maker = BallWindowMaker(load_recordings(shards), load_scene_cache(shards, workers))
+        sources.append(BallSource(maker, part.share, part.latest_start))
+    return sources
+
+
+def warm_network(one_ball: Mapping[str, Tensor], several: Mapping[str, Tensor]) -> AnyBallNet:
+    """Return a network that begins with what the networks of a fixed number of balls know.
+
+    Eye, motion and doubt are those of FieldNet's for one ball, encounters those for several; with
+    nobody near, a ball moves exactly as there.
+
+    Parameters
+    ----------
+    one_ball, several
+        Parameters of exported networks (:func:`training.export.load.read_parameters`).
+    """
+    network = AnyBallNet()
+    own = network.state_dict()
+    names = {"eye.first.": "eye.detector.", "eye.closer.": "eye.refiner."}
+    taken: dict[str, Tensor] = {}
+    for name, value in one_ball.items():
+        new = name
+        for old, instead in names.items():
+            new = new.replace(old, instead)
+        if new not in own:
+            continue
+        shape = own[new].shape
+        if value.shape != shape:
+            # What is told of encounters stands last among what is felt.
+            value = torch.cat([value, several[name][:, value.shape[1] :]], dim=1)
+        taken[new] = value
+    taken |= {name: value for name, value in several.items() if "encounters" in name}
+    network.load_state_dict(own | taken)
+    return network
