@@ -1,5 +1,6 @@
 """Commands for the network that follows any number of balls."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -8,21 +9,25 @@ import typer
 
 from rollcast.scene import Scenario
 from training.cli.options import CORES, MODELS, TestScenes, Workers, failed
+from training.common.run_folder import BEST, read_best
 from training.common.settings import runs_folder
-from training.data.ball_windows import BallLooks, BallStream
+from training.data.ball_windows import BallLooks, BallStream, validation_windows
 from training.data.splits import Split
-from training.engine.ball_trainer import CHECKPOINT, BallTrainer, BallTraining
+from training.engine.ball_trainer import BallTrainer, BallTraining
 from training.engine.encounter_trainer import EncounterTraining, train_encounters
+from training.engine.loop import TrainingStoppedError
+from training.evaluation.any_ball import validation_errors
 from training.evaluation.evaluate import evaluation_sets
 from training.export.ball_artefact import Sets, TrainedBalls, export_balls
 from training.export.load import any_ball_from
 from training.networks.any_ball import AnyBallNet
-from training.recipes.any_ball import ANY_BALL_DATA, ball_sources
+from training.recipes.any_ball import ANY_BALL_DATA, VALIDATION_DATA, ball_sources
 
 RUN = "any-ball"
 """Folder of the run, and name of its network."""
 MOTION = "rolling.pt"
 """Weights of the motion in the run's folder, once encounters are taught."""
+VALIDATION_WINDOWS = 120
 REPEATS = 3
 """Times that a painted window is seen."""
 SCENES: dict[int, tuple[Scenario, ...]] = {
@@ -53,20 +58,26 @@ def train_balls(
     workers: Workers = CORES,
 ) -> None:
     """Train the perception of any number of balls; resumes a run that was stopped."""
-    network = any_ball_from(models)
-    trainer = BallTrainer(network, BallTraining(batches), runs_folder() / RUN)
-    trainer.resume()
-    training = trainer.training
-    stream = BallStream(
-        ball_sources(workers=workers),
-        BallLooks(),
-        training.batch_size,
-        training.seed,
-        trainer.batches,
-        REPEATS,
+    training = BallTraining(batches)
+    sources = ball_sources(workers=workers)
+    unseen = ball_sources(VALIDATION_DATA, "validation", workers)
+    windows = validation_windows(unseen, VALIDATION_WINDOWS)
+
+    def stream(first: int) -> BallStream:
+        looks, size = BallLooks(), training.batch_size
+        return BallStream(sources, looks, size, training.seed, first, REPEATS)
+
+    trainer = BallTrainer(
+        any_ball_from(models),
+        training,
+        runs_folder() / RUN,
+        stream,
+        partial(validation_errors, windows=windows),
     )
-    for done in trainer.run(stream, workers=1):
-        typer.echo(f"{done} of {training.batches} batches")
+    try:
+        typer.echo(f"best validation error: {trainer.run():.3f} px, kept in {trainer.folder}")
+    except TrainingStoppedError as error:
+        failed(error)
 
 
 def train_balls_to_collide(
@@ -95,36 +106,33 @@ def export(
     workers: Workers = CORES,
 ) -> None:
     """Export the network for any number of balls and prove the export."""
-    path = runs_folder() / RUN / CHECKPOINT
+    folder = runs_folder() / RUN
     try:
-        kept = torch.load(path, map_location="cpu", weights_only=True)
+        best = read_best(folder)
     except FileNotFoundError:
         failed(
-            f"no trained weights at {path}: run `python -m training train-balls` first, or name "
-            "the folder of its runs with ROLLCAST_RUNS"
+            f"no trained weights at {folder / BEST}: run `python -m training train-balls` first, "
+            "or name the folder of its runs with ROLLCAST_RUNS"
         )
     network = AnyBallNet()
-    prefix = "module."
-    network.load_state_dict(
-        {n.removeprefix(prefix): v for n, v in kept["average"].items() if n.startswith(prefix)}
-    )
-    motion = path.with_name(MOTION)
+    network.load_state_dict(best["weights"])
+    motion = folder / MOTION
     if motion.exists():
         network.rolling.load_state_dict(torch.load(motion, map_location="cpu", weights_only=True))
     training = BallTraining(0)
     trained = TrainedBalls(
         name,
         network,
-        kept["batches"] * training.batch_size,
+        best["sequences"],
         HORIZON,
         {part.source.name: part.scenes for part in ANY_BALL_DATA},
         training.seed,
     )
-    folder = models / name / str(version)
+    target = models / name / str(version)
     validation = _sets("validation", 100, workers)
     test = _sets("test", scenes, workers)
-    manifest = export_balls(trained, folder, version, validation, test)
-    typer.echo(f"{manifest.label}: {manifest.validation_error_px:.2f} px, in {folder}")
+    manifest = export_balls(trained, target, version, validation, test)
+    typer.echo(f"{manifest.label}: {manifest.validation_error_px:.2f} px, in {target}")
 
 
 def _sets(split: Split, scenes: int, workers: int) -> Sets:

@@ -37,6 +37,9 @@ REMEMBERED = 2000
 LEAST_WAY_PX = 0.3
 """Way over the seen frames from which on a ball moves."""
 
+VALIDATION_SEED = 2**31
+"""Of validation windows; training seeds are small."""
+
 Kind = Literal["paper", "filmed", "restyled", "planar"]
 KINDS: tuple[Kind, ...] = ("paper", "filmed", "restyled", "planar")
 
@@ -343,3 +346,15 @@ class BallStream(IterableDataset[BallBatch]):
         shares = np.array([source.share for source in self._sources])
         source = self._sources[generator.choice(len(shares), p=shares / shares.sum())]
         return source.maker.window(generator, kind, source.latest_start)
+
+
+def validation_windows(sources: Sequence[BallSource], count: int) -> list[BallWindow]:
+    """Draw windows to validate with: the mixture of training, of scenes that it does not see.
+
+    Parameters
+    ----------
+    sources
+        Scenes of the validation split.
+    """
+    stream = BallStream(sources, BallLooks(), count, VALIDATION_SEED, 0)
+    return [stream.draw(np.random.default_rng([VALIDATION_SEED, index])) for index in range(count)]

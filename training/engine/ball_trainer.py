@@ -1,10 +1,9 @@
-"""Trains a perception of any number of balls: resumable at any moment, unattended."""
+"""Trains the perception of any number of balls."""
 
-import json
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,21 +12,20 @@ from torch.utils.data import DataLoader, IterableDataset
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.common.precision import mixed_precision
 from training.data.ball_batch import BallBatch
-from training.engine.loop import warmed_average
+from training.engine.loop import Optimisation, TrainerConfig, TrainingLoop
 from training.networks.any_ball import AnyBallNet
 from training.networks.ball_detector import PIXEL, BallMaps, peaks, voted
 from training.networks.patches import half_widths
 from training.objectives.detection import DetectionLoss, RefinementLoss, chosen
+from training.objectives.schedules import Cosine
 
-CHECKPOINT = "checkpoint.pt"
-LOG = "log.jsonl"
 VISIBLE = 0.3
-"""Share of a ball that has to be seen in the last frame for its patches to teach."""
+"""Smallest visible share in the last frame of balls whose patches are trained on."""
 
 
 @dataclass(frozen=True)
 class BallTraining:
-    """What a training of the perception is determined by, besides its data.
+    """Configuration of a training of the perception, besides its data.
 
     Attributes
     ----------
@@ -41,8 +39,7 @@ class BallTraining:
     batch_size: int = 24
     looked_at: float = 1.3
     learning_rate: float = 8e-4
-    warm_up: int = 100
-    gradient_clip: float = 5.0
+    gradient_clip: float = 4.0
     average_decay: float = 0.998
     seed: int = 1
     frozen: tuple[str, ...] = ("rolling.", "first_doubt.", "unsure.")
@@ -53,82 +50,80 @@ class BallTraining:
         "eye.refiner.looks.",
         "eye.refiner.sigmas.",
     )
-    """Parts that begin with nothing learned."""
+    """Parts that start from random weights."""
     fresh_rate: float = 3.0
-    """Of their learning, relative to everything else's."""
+    """Learning rate of these parts, relative to all others."""
 
 
-class BallTrainer:
-    """One training run in a folder of its own."""
+class BallTrainer(TrainingLoop[BallBatch]):
+    """The training of the perception in a folder of its own.
 
-    def __init__(self, network: AnyBallNet, training: BallTraining, folder: Path) -> None:
+    Parameters
+    ----------
+    stream
+        Makes the batches from a number on; batch k is always the same.
+    validate
+        Returns the error in px that decides which weights are the best, and what else is plotted.
+    """
+
+    def __init__(
+        self,
+        network: AnyBallNet,
+        training: BallTraining,
+        folder: Path,
+        stream: Callable[[int], IterableDataset[BallBatch]],
+        validate: Callable[[AnyBallNet], tuple[float, Mapping[str, float]]],
+        config: TrainerConfig | None = None,
+    ) -> None:
         torch.manual_seed(training.seed)
         self.network = network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self.training = training
-        self.folder = folder
-        groups: dict[float, list[torch.nn.Parameter]] = {1.0: [], training.fresh_rate: []}
+        self._make_stream = stream
+        self._validate = validate
+        rate = training.learning_rate
+        groups: dict[float, list[torch.nn.Parameter]] = {rate: [], rate * training.fresh_rate: []}
         for name, parameter in network.named_parameters():
-            if not name.startswith(training.frozen):
+            parameter.requires_grad_(not name.startswith(training.frozen))
+            if parameter.requires_grad:
                 fresh = name.startswith(training.fresh)
-                groups[training.fresh_rate if fresh else 1.0].append(parameter)
-        self._learned = [parameter for group in groups.values() for parameter in group]
-        self._optimiser = torch.optim.AdamW(
-            [{"params": group, "share": share} for share, group in groups.items()],
-            training.learning_rate,
-            betas=(0.9, 0.95),
-            weight_decay=0.01,
+                groups[rate * (training.fresh_rate if fresh else 1.0)].append(parameter)
+        optimisation = Optimisation(
+            training.batches,
+            training.batch_size,
+            lambda groups: torch.optim.AdamW(groups, rate, betas=(0.9, 0.95), weight_decay=0.01),
+            Cosine,
+            training.gradient_clip,
+            training.average_decay,
         )
-        self.average = torch.optim.swa_utils.AveragedModel(
-            network, multi_avg_fn=warmed_average(training.average_decay)
+        super().__init__(
+            network,
+            [{"params": group, "lr": rate} for rate, group in groups.items()],
+            optimisation,
+            folder,
+            config or TrainerConfig(),
         )
         self._detection, self._refinement = DetectionLoss(), RefinementLoss()
-        self.batches = 0
-        self._saved = time.monotonic()
 
-    def run(
-        self, stream: IterableDataset[BallBatch], workers: int, report_every: int = 100
-    ) -> Iterator[int]:
-        """Train to the end of the budget; yields after every report, for others to look in."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+    def _stream(self) -> Iterator[BallBatch]:
+        workers = self._config.workers
         ahead = 4 if workers else None
+        stream = self._make_stream(self.batches)
         loader = DataLoader(stream, batch_size=None, num_workers=workers, prefetch_factor=ahead)
-        sums: dict[str, float] = {}
-        began = time.monotonic()
-        for batch in loader:
-            for name, value in self._step(batch).items():
-                sums[name] = sums.get(name, 0.0) + value / report_every
-            if self.batches % report_every == 0:
-                seconds = (time.monotonic() - began) / report_every
-                self._report({"seconds": seconds, **sums})
-                sums, began = {}, time.monotonic()
-                yield self.batches
-            if time.monotonic() - self._saved > 120 or self.batches >= self.training.batches:
-                self.save()
-            if self.batches >= self.training.batches:
-                return
+        return iter(loader)
 
-    def _step(self, batch: BallBatch) -> dict[str, float]:
-        training = self.training
-        spent = self.batches / training.batches
-        rate = min((self.batches + 1) / training.warm_up, 1.0)
-        rate *= 0.02 + 0.98 * 0.5 * (1 + torch.cos(torch.tensor(torch.pi * spent)).item())
-        for group in self._optimiser.param_groups:
-            group["lr"] = rate * training.learning_rate * group["share"]
-        parts = self.losses(batch)
-        loss = torch.stack(list(parts.values())).sum()
-        self._optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        length = torch.nn.utils.clip_grad_norm_(self._learned, training.gradient_clip)
-        if torch.isfinite(length):
-            self._optimiser.step()
-            self.average.update_parameters(self.network)
-        self.batches += 1
-        return {"loss": loss.item(), "gradient": length.item()} | {
-            name: part.item() for name, part in parts.items()
-        }
+    def _loss(self, batch: BallBatch, progress: float) -> Tensor:  # noqa: ARG002 - the base's
+        return torch.stack(list(self.losses(batch).values())).sum()
+
+    def _errors(self) -> tuple[float, Mapping[str, float]]:
+        averaged = self.averaged()
+        assert isinstance(averaged, AnyBallNet)
+        return self._validate(averaged)
+
+    def _best_weights(self) -> dict[str, Any]:
+        return {"weights": self.averaged().state_dict(), "sequences": self.sequences}
 
     def losses(self, batch: BallBatch) -> dict[str, Tensor]:
-        """Parts of the loss of a batch by name."""
+        """Return the parts of the loss of a batch by name."""
         eye = self.network.eye
         with mixed_precision(batch.places.device):
             maps = eye.detector.maps(batch.frames)
@@ -141,38 +136,6 @@ class BallTrainer:
             seen = eye.refine(balls.frames, places, radii, passes=1)
         beginning = eye.begin(seen, maps.ground[rows.window], maps.scene[rows.window])
         return parts | self._refinement(seen, beginning, balls)
-
-    def _report(self, values: Mapping[str, float]) -> None:
-        line = {"batches": self.batches, **{name: round(v, 4) for name, v in values.items()}}
-        with (self.folder / LOG).open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
-
-    def save(self) -> None:
-        """Write a checkpoint, whole or not at all."""
-        unfinished = self.folder / f"{CHECKPOINT}.tmp"
-        torch.save(
-            {
-                "batches": self.batches,
-                "network": self.network.state_dict(),
-                "average": self.average.state_dict(),
-                "optimiser": self._optimiser.state_dict(),
-            },
-            unfinished,
-        )
-        unfinished.replace(self.folder / CHECKPOINT)
-        self._saved = time.monotonic()
-
-    def resume(self) -> bool:
-        """Go on from the last checkpoint; return whether there is one."""
-        path = self.folder / CHECKPOINT
-        if not path.exists():
-            return False
-        kept = torch.load(path, map_location="cpu", weights_only=True)
-        self.network.load_state_dict(kept["network"])
-        self.average.load_state_dict(kept["average"])
-        self._optimiser.load_state_dict(kept["optimiser"])
-        self.batches = kept["batches"]
-        return True
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """How well a network for any number of balls sees and forecasts, against what is true."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -9,6 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from rollcast.ball_finding import Arrays, Balls, by_motion, find_balls
 from rollcast.camera import NETWORK_FRAME_SIZE
+from training.data.ball_batch import BallWindow
 from training.data.windows import Window
 from training.evaluation.evaluate import EvaluationSet, Shown
 from training.networks.any_ball import AnyBallNet, Seen
@@ -122,3 +124,86 @@ def _forecast_one(
     covariances[found] = made["covariances"][index[found]]
     spins[found] = made["angular_velocities"][index[found]]
     return positions, covariances, spins
+
+
+PROMPT_PX = 1.5
+"""Standard deviation of a click about a ball's centre, in px of 128."""
+AHEAD = 5
+"""Frames over which the last displacement is extrapolated in the validation error."""
+LOST_PX = 20.0
+"""Largest error of one ball in the validation error; a lost ball counts as much."""
+
+
+@dataclass(frozen=True)
+class SightErrors:
+    """Errors at t = 0 of balls that move and are seen, in px of 128, one row per ball."""
+
+    places: np.ndarray
+    """Distance of the last observed place."""
+    displacements: np.ndarray
+    """Length of the error of the last displacement."""
+    ahead: np.ndarray
+    """Distance of the straight line through both after :data:`AHEAD` frames."""
+    radii: np.ndarray
+    """True radii."""
+
+    @property
+    def found(self) -> float:
+        """Share of balls whose place errs by at most their radius, or 2 px."""
+        return float((self.places <= np.maximum(self.radii, 2)).mean())
+
+    @property
+    def mean_px(self) -> float:
+        """Mean error of the straight line, of which lost balls take :data:`LOST_PX`."""
+        return float(self.ahead.clip(max=LOST_PX).mean())
+
+
+def sight_errors(
+    network: AnyBallNet, windows: Sequence[BallWindow], *, prompted: bool, seed: int = 0
+) -> SightErrors:
+    """Measure how exactly a network sees the balls that move in some windows.
+
+    Parameters
+    ----------
+    prompted
+        Whether a point near each ball's centre selects it; otherwise the nearest ball that was
+        found counts.
+    seed
+        Of the points.
+    """
+    finder = TorchFinder(network)
+    generator = np.random.default_rng(seed)
+    rows: list[tuple[float, float, float, float]] = []
+    for window in windows:
+        wanted = (window.moving > 0) & (window.visible[:, -1] > 0.5)
+        truths = HALF * window.places[wanted]
+        if not len(truths):
+            continue
+        clicks = truths[:, -1] + generator.normal(0, PROMPT_PX, truths[:, -1].shape)
+        balls, _ = finder.find(window.frames, clicks / HALF if prompted else None)
+        found = HALF * balls.places
+        for index, (truth, radius) in enumerate(
+            zip(truths, HALF * window.radii[wanted], strict=True)
+        ):
+            away = np.linalg.norm(found[:, -1] - truth[-1], axis=-1)
+            error = found[index if prompted else int(away.argmin())] - truth
+            step = error[-1] - error[-2]
+            line = error[-1] + AHEAD * step
+            lengths = (float(np.linalg.norm(part)) for part in (error[-1], step, line))
+            rows.append((*lengths, float(radius)))  # pyright: ignore[reportArgumentType]
+    return SightErrors(*np.array(rows).T)
+
+
+def validation_errors(
+    network: AnyBallNet, windows: Sequence[BallWindow]
+) -> tuple[float, Mapping[str, float]]:
+    """Return the mean error with and without prompts, and its parts."""
+    told = sight_errors(network, windows, prompted=True)
+    free = sight_errors(network, windows, prompted=False)
+    error = (told.mean_px + free.mean_px) / 2
+    return error, {
+        "validation/error": error,
+        "validation/prompted": told.mean_px,
+        "validation/unprompted": free.mean_px,
+        "validation/displacement": float(np.median(told.displacements)),
+    }

@@ -1,6 +1,7 @@
 """The network for any number of balls: what it begins with, and what it is trained on."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -26,6 +27,8 @@ ANY_BALL_DATA = (
     DataShare(Source("ellipsoid", 3), 400, 0.17, 200),
 )
 """Scenes of one, two and three balls; planar scenes have up to eight."""
+VALIDATION_DATA = tuple(replace(part, scenes=50) for part in ANY_BALL_DATA)
+"""The same kinds of scenes, fewer of each."""
 
 
 def ball_sources(

@@ -18,6 +18,7 @@ from training.recipes.tiny import tiny
 COMMANDS = {
     "simulate", "check-world", "train", "plot-run", "auto-train", "evaluate", "error-breakdown",
     "export", "quantise", "fit-ood", "setup", "real", "real-clips", "study", "report",
+    "train-balls", "train-encounters", "export-balls",
 }  # fmt: skip
 
 

@@ -1,52 +1,65 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 from torch.utils.data import IterableDataset
 
+from training.common.run_folder import read_best
 from training.data.ball_batch import collate
 from training.data.ball_windows import planar_window
-from training.engine.ball_trainer import LOG, BallTrainer, BallTraining
+from training.engine.ball_trainer import BallTrainer, BallTraining
+from training.engine.loop import TrainerConfig
+from training.evaluation.any_ball import validation_errors
 from training.networks.any_ball import AnyBallNet
-
-TRAINING = BallTraining(batches=3, batch_size=3, warm_up=1)
 
 
 class Windows(IterableDataset):
     """Batches of planar scenes."""
+
+    def __init__(self, first: int) -> None:
+        self._first = first
 
     def __iter__(self):
         while True:
             yield collate([planar_window(np.random.default_rng(k)) for k in range(3)])
 
 
-def trained(folder: Path, batches: int) -> BallTrainer:
+@pytest.fixture(scope="module")
+def unseen():
+    return [planar_window(np.random.default_rng(100 + k)) for k in range(2)]
+
+
+def trainer(folder: Path, batches: int, unseen) -> BallTrainer:
     torch.manual_seed(2)
-    trainer = BallTrainer(AnyBallNet(), BallTraining(batches, 3, warm_up=1), folder)
-    trainer.resume()
-    for _ in trainer.run(Windows(), workers=0, report_every=1):
-        pass
-    return trainer
+    training = BallTraining(batches, 3)
+    config = TrainerConfig(validate_every=100, workers=0)
+    return BallTrainer(
+        AnyBallNet(), training, folder, Windows, lambda net: validation_errors(net, unseen), config
+    )
 
 
-def test_training_changes_perception_alone_and_goes_on_where_it_stopped(tmp_path):
+def test_training_changes_perception_alone_and_goes_on_where_it_stopped(tmp_path, unseen):
     torch.manual_seed(2)
     before = {name: value.clone() for name, value in AnyBallNet().state_dict().items()}
-    trained(tmp_path, 2)
-    after = trained(tmp_path, 3)
-    assert after.batches == 3
-    assert len((tmp_path / LOG).read_text().splitlines()) == 3
-    moved = {n for n, v in after.network.state_dict().items() if not torch.equal(v, before[n])}
+    trainer(tmp_path, 2, unseen).run()
+    resumed = trainer(tmp_path, 3, unseen)
+    error = resumed.run()
+    assert resumed.batches == 3
+    assert [batches for batches, _ in resumed.validations] == [2, 3]
+    assert error == min(error for _, error in resumed.validations)
+    moved = {n for n, v in resumed.network.state_dict().items() if not torch.equal(v, before[n])}
     assert any(name.startswith("eye.detector.said") for name in moved)
     assert any(name.startswith("eye.refiner.registration") for name in moved)
     assert not any(name.startswith(("rolling", "first_doubt")) for name in moved)
+    assert read_best(tmp_path)["weights"].keys() == before.keys()
 
 
-def test_the_loss_falls_on_what_is_seen_again_and_again(tmp_path):
+def test_the_loss_falls_on_what_is_seen_again_and_again(tmp_path, unseen):
     torch.manual_seed(3)
-    trainer = BallTrainer(AnyBallNet(), BallTraining(40, 3, warm_up=1), tmp_path)
-    batch = next(iter(Windows()))
-    first = trainer._step(batch)["loss"]
+    training = trainer(tmp_path, 40, unseen)
+    batch = next(iter(Windows(0)))
+    first = training._step(batch, 0.1)
     for _ in range(14):
-        last = trainer._step(batch)["loss"]
+        last = training._step(batch, 0.1)
     assert last < 0.8 * first
