@@ -163,6 +163,16 @@ class CameraSetup(_Part):
     """x, y and size of the square of the camera's pictures that frames show, pixels."""
 
 
+class KinematicSource(_Part):
+    """Kinematic forecasts (:mod:`rollcast.kinematics`) beside those of a model's network."""
+
+    acceleration_px: Annotated[float, Field(ge=0)]
+    """Standard deviation of the change of velocity per step, pixels of 128."""
+    level_slope: Annotated[float, Field(ge=0)]
+    """Mean slope of the ground under a ball's path up to which "auto" answers with the kinematic
+    forecast; 0 answers with the network's always."""
+
+
 class Manifest(_Part):
     """Everything there is to know about one version of one model."""
 
@@ -206,6 +216,8 @@ class Manifest(_Part):
     random_appearances: bool = False
     """Training on frames of random appearance: "auto" uses such a model where the frames are out of
     distribution for the model that it would choose."""
+    kinematic: KinematicSource | None = None
+    """Of models for any number of balls."""
     unfamiliar: Unfamiliar | None = None
     """None without FAMILIARITY_FILE: such a model cannot tell."""
     files: dict[str, Sha256]
@@ -231,6 +243,8 @@ class Manifest(_Part):
             raise ValueError(
                 f"format_version is {self.format_version} with max_objects {self.max_objects}"
             )
+        if (self.kinematic is None) != (self.max_objects is None):
+            raise ValueError("kinematic belongs to models with max_objects")
         files = set(HASHED_FILES if self.max_objects is None else BALL_FILES)
         if set(self.files) - {EYE_FILE, FAMILIARITY_FILE} != files:
             raise ValueError(f"files are {sorted(self.files)}, expected {sorted(files)}")

@@ -165,6 +165,20 @@ class SeenBall(ResponseBody):
     radius: float
 
 
+Motion = Literal["network", "kinematic"]
+"""What moves a ball in a forecast: the model's network, or a Kalman filter of constant velocity."""
+
+
+class AlternativeForecast(ResponseBody):
+    """Another forecast of the same ball."""
+
+    motion: Motion
+    positions: list[Point]
+    """[horizon][x, y], pixels."""
+    covariances: list[Matrix]
+    """[horizon][2][2], square pixels."""
+
+
 class ForecastObject(ResponseBody):
     """The forecast of one ball."""
 
@@ -185,6 +199,11 @@ class ForecastObject(ResponseBody):
     """The ball in each observed frame; None from models for a fixed number of balls."""
     warnings: list[str] = []
     """Reasons to trust this ball's forecast less."""
+    motion: Motion = "network"
+    """``kinematic`` where "auto" reads the ground as level; such a forecast has no angular
+    velocities."""
+    alternative: AlternativeForecast | None = None
+    """The forecast of the other motion; None from models for a fixed number of balls."""
 
 
 class PredictTiming(ResponseBody):
@@ -254,6 +273,7 @@ class StreamBall(ResponseBody):
     score: Annotated[float, Field(ge=0, le=1)] | None = None
     seen: list[SeenBall] | None = None
     warnings: list[str] = []
+    motion: Motion = "network"
 
 
 class StreamDone(ForecastSummary):

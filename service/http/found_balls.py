@@ -1,20 +1,30 @@
 """Balls that were found or asked for, between a request's pixels and a model's square."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.kinematics import KinematicForecast, kinematic_forecast, mean_slopes
+from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS
 from rollcast.patches import Letterbox
 from rollcast.scene import BallColor
 from rollcast.schemas import BallPrompt, SeenBall
 from service.errors import InvalidValueError
 from service.inference.ball_predictor import BallPredictor, FoundBalls
+from service.inference.rollout import Forecast
 
 SURE = 0.5
 """Score from which on a ball is taken to be there."""
 DOUBTFUL_RADII = 0.5
 """Standard deviation of a ball's place, in its radii, from which on an answer warns."""
+
+
+LEVEL_STEPS = 20
+"""Steps of a ball's path under which the ground has to be level."""
+HALF = NETWORK_FRAME_SIZE / 2
 
 
 class RequestBalls:
@@ -48,6 +58,8 @@ class RequestBalls:
         points, radii = (None, None) if prompts is None else _points(prompts, self.box)
         self.found: FoundBalls = model.find(frames, points, radii, objects)
         self._last = frames[-1]
+        assert model.manifest.kinematic is not None
+        self._source = model.manifest.kinematic
 
     @property
     def count(self) -> int:
@@ -59,6 +71,36 @@ class RequestBalls:
         """Where the frame begins in the square, pixels of the frame."""
         side = self.box.side
         return (side - self.box.width) / 2, (side - self.box.height) / 2
+
+    def kinematic(self, network: Forecast, first_step: int) -> Forecast:
+        """Return the kinematic forecast of the steps of the network's, pixels of 128.
+
+        Its covariances are scaled to the network's radius of the ellipse that holds half.
+        """
+        steps = np.arange(first_step, first_step + network.positions.shape[2], dtype=np.intp)
+        made = self._kinematic(steps)
+        scale = (GAUSSIAN_ELLIPSE50_RADIUS / network.ellipse50_radii) ** 2
+        return replace(
+            network,
+            positions=made.positions[None].astype(np.float32),
+            covariances=(made.covariances * scale[:, None, None])[None].astype(np.float32),
+        )
+
+    @property
+    def on_level_ground(self) -> list[bool]:
+        """Whether the model reads the ground under each ball's kinematic path as level."""
+        paths = self._kinematic(np.arange(LEVEL_STEPS)).positions / HALF - 1
+        slopes = mean_slopes(self.found.said["ground"][0], paths)
+        return (slopes < self._source.level_slope).tolist()
+
+    def _kinematic(self, steps: np.ndarray) -> KinematicForecast:
+        balls = self.found.balls
+        return kinematic_forecast(
+            HALF + HALF * balls.places,
+            HALF * np.exp(balls.log_sigmas),
+            self._source.acceleration_px,
+            steps,
+        )
 
     @property
     def scores(self) -> list[float]:

@@ -156,6 +156,18 @@ def decode_rectangles(
     return np.stack(frames)
 
 
+def all_square(images: Sequence[bytes]) -> bool:
+    """Tell from the headers whether every frame is a square; files without a header count as one.
+
+    Their decoding refuses them with a message.
+    """
+    try:
+        opened = [_open(data, "frames", lambda: None, square=False) for data in images]
+    except (BrokenImageError, InvalidValueError, NotAnImageError):
+        return True
+    return all(image.width == image.height for image in opened)
+
+
 def _open(data: bytes, field: str, check: Check, *, square: bool = True) -> ImageFile.ImageFile:
     """Read the header alone. Pillow's own ``open`` would refuse large images without their size."""
     reader = next((READERS[start] for start in READERS if data.startswith(start)), None)

@@ -14,9 +14,11 @@ from rollcast.scene import BallColor
 from rollcast.schemas import (
     AUTO_MODEL,
     DEFAULT_HORIZON,
+    AlternativeForecast,
     ForecastObject,
     ForecastSummary,
     ModelReference,
+    Motion,
     PredictRequest,
     PredictResponse,
     SeenBall,
@@ -27,14 +29,14 @@ from rollcast.schemas import (
 )
 from service.errors import InvalidValueError
 from service.http.found_balls import RequestBalls
-from service.http.image_decoding import Check, decode_frames, decode_rectangles
+from service.http.image_decoding import Check, all_square, decode_frames, decode_rectangles
 from service.inference.ball_predictor import BallPredictor
 from service.inference.deadlines import CancellationToken
-from service.inference.rollout import Forecast, Predictor, assemble
+from service.inference.rollout import CovarianceFloor, Forecast, Predictor, assemble
 from service.inference.scheduler import DecodedRequest
 from service.observability.metrics import Metrics
 from service.observability.tracing import Stages
-from service.serving.forecast_warnings import doubts, replaced, unfamiliar
+from service.serving.forecast_warnings import doubts, left_frame, replaced, unfamiliar
 from service.serving.registry import ModelQuery, Registry
 
 Parser = Callable[[Check], PredictRequest]
@@ -49,6 +51,7 @@ class BallDetails(NamedTuple):
     score: float | None = None
     seen: Sequence[SeenBall] | None = None
     warnings: Sequence[str] = ()
+    motion: Motion = "network"
 
 
 class _Forecast:
@@ -75,6 +78,9 @@ class _Forecast:
         self._size = (0, 0)
         self._balls: RequestBalls | None = None
         self._details: list[BallDetails] = []
+        self._floor: CovarianceFloor | None = None
+        self._left: dict[int, int] = {}
+        """Step at which a ball leaves the frame, by its id."""
         self._rate = 0.0
         self._horizon = 0
         self._doubts: list[str] = []
@@ -95,7 +101,10 @@ class _Forecast:
         if request.objects not in (None, objects):
             expected = f"{objects}, the number of balls"
             raise InvalidValueError.at("objects", request.objects, expected)
-        query = ModelQuery(request.model, objects, request.scenario, final_frame, prompted)
+        square = request.model != AUTO_MODEL or all_square(request.frames)
+        query = ModelQuery(
+            request.model, objects, request.scenario, final_frame, prompted, square=square
+        )
         predictor = self._registry.choose(query)
         self.manifest = predictor.manifest
         self._horizon = _horizon(request, predictor.manifest)
@@ -104,7 +113,10 @@ class _Forecast:
             return self._begin_with_balls(predictor, objects)
         frames, side = _decode(request, self._token.raise_if_cancelled)
         self._size = (side, side)
-        predictor = self._warn(predictor, frames)
+        other = self._warn(predictor, frames)
+        if isinstance(other, BallPredictor):
+            return self._begin_with_balls(other, objects)
+        predictor = other
         source = predictor.manifest.covariance.source
         colors = predictor.manifest.colors
         self._details = [BallDetails(ball, color, source) for ball, color in enumerate(colors)]
@@ -131,15 +143,19 @@ class _Forecast:
         check = self._token.raise_if_cancelled
         frames = decode_rectangles(request.frames, _frame_fields(request), check)
         self._size = (frames.shape[2], frames.shape[1])
-        self._warn(predictor, letterboxed(frames, NETWORK_FRAME_SIZE))
+        if not self._doubts:
+            self._warn(predictor, letterboxed(frames, NETWORK_FRAME_SIZE))
         self._stages.next()
         self._balls = RequestBalls(predictor, frames, request.balls, objects)
         source = predictor.manifest.covariance.source
         balls = self._balls
-        told = zip(balls.colors, balls.scores, balls.seen, balls.warnings, strict=True)
+        levels = balls.on_level_ground if request.model == AUTO_MODEL else [False] * balls.count
+        told = zip(balls.colors, balls.scores, balls.seen, balls.warnings, levels, strict=True)
         self._details = [
-            BallDetails(ball, color, source, score, seen, warnings)
-            for ball, (color, score, seen, warnings) in enumerate(told)
+            BallDetails(
+                ball, color, source, score, seen, warnings, "kinematic" if level else "network"
+            )
+            for ball, (color, score, seen, warnings, level) in enumerate(told)
         ]
         rollout = predictor.rollout(self._balls.count)
         return DecodedRequest(rollout, self._balls.found.packed, self._horizon)
@@ -149,13 +165,50 @@ class _Forecast:
         if index == 0:
             self._stages.next()
 
-    def forecast(self, outputs: Outputs, first_step: int) -> Forecast:
-        """Turn stacked outputs into a forecast in the units of the user's frames."""
-        return assemble(outputs, self.manifest.covariance, first_step).rescaled(
+    def forecasts(self, outputs: Outputs, first_step: int) -> tuple[Forecast, Forecast | None]:
+        """Turn stacked outputs into a forecast in the units of the user's frames.
+
+        Returns
+        -------
+        tuple
+            The forecast, and the one of the other motion from models for any number of balls.
+        """
+        covariance = self.manifest.covariance
+        if self._floor is None:
+            calibrated = covariance.empirical or covariance.variance_scale or ()
+            self._floor = CovarianceFloor(len(calibrated) or self.manifest.trained_horizon)
+        network = self._floor.apply(assemble(outputs, covariance, first_step), first_step)
+        if self._balls is None:
+            return self._in_frame(network, first_step), None
+        kinematic = self._balls.kinematic(network, first_step)
+        by_kinematics = np.array([ball.motion == "kinematic" for ball in self._details])
+        chosen = network.mixed(kinematic, by_kinematics)
+        other = kinematic.mixed(network, by_kinematics)
+        return self._in_frame(chosen, first_step), self._in_frame(other)
+
+    def _in_frame(self, made: Forecast, first_step: int | None = None) -> Forecast:
+        """Return a forecast in pixels of the frames; note where balls leave them from a step on."""
+        scaled = made.within_frame().rescaled(
             max(self._size) / NETWORK_FRAME_SIZE,
             self._rate / self.manifest.frame_rate_hz,
             (0.0, 0.0) if self._balls is None else self._balls.origin,
         )
+        if first_step is not None:
+            places = scaled.positions[0]
+            outside = np.any((places < 0) | (places > np.array(self._size)), axis=-1)
+            for ball in np.flatnonzero(outside.any(axis=-1)).tolist():
+                self._left.setdefault(ball, first_step + int(outside[ball].argmax()))
+        return scaled
+
+    @property
+    def balls(self) -> list[BallDetails]:
+        """What does not change of the balls, once all steps are there."""
+        return [
+            ball._replace(warnings=[*ball.warnings, left_frame(self._left[ball.id])])
+            if ball.id in self._left
+            else ball
+            for ball in self._details
+        ]
 
     def summary(self, final_positions: np.ndarray | None) -> ForecastSummary:
         """Tell all that is no step; called at the end, for it takes the time."""
@@ -198,10 +251,10 @@ class WholeForecast(_Forecast):
         service.errors.DivergedError
             When a number is not finite.
         """
-        forecast = self.forecast(stacked(self._steps), first_step=0)
+        forecast, other = self.forecasts(stacked(self._steps), first_step=0)
         response = PredictResponse(
             **dict(self.summary(forecast.final_positions)),
-            objects=_objects(forecast, self._details),
+            objects=_objects(forecast, self.balls, other),
             times_s=[step / self._rate for step in range(len(self._steps))],
             ellipse50_radii=forecast.ellipse50_radii.tolist(),
         )
@@ -238,7 +291,7 @@ class StreamedForecast(_Forecast):
             When a number is not finite.
         """
         super().step(index, outputs)
-        forecast = self.forecast(stacked([outputs]), first_step=index)
+        forecast, _ = self.forecasts(stacked([outputs]), first_step=index)
         if index == 0:
             self._final = forecast.final_positions
         self._emit(
@@ -255,7 +308,7 @@ class StreamedForecast(_Forecast):
                         if ball.angular_velocities is None
                         else ball.angular_velocities[0],
                     )
-                    for ball in _objects(forecast, self._details)
+                    for ball in _objects(forecast, self._details, None)
                 ],
             )
         )
@@ -265,7 +318,7 @@ class StreamedForecast(_Forecast):
         self._emit(
             StreamDone(
                 **dict(self.summary(self._final)),
-                objects=[StreamBall(**ball._asdict()) for ball in self._details],
+                objects=[StreamBall(**ball._asdict()) for ball in self.balls],
             )
         )
 
@@ -297,14 +350,27 @@ def _frame_fields(request: PredictRequest) -> list[str]:
     return [f"frames[{index}]" for index in range(len(request.frames))]
 
 
-def _objects(forecast: Forecast, balls: Sequence[BallDetails]) -> list[ForecastObject]:
+def _objects(
+    forecast: Forecast, balls: Sequence[BallDetails], other: Forecast | None
+) -> list[ForecastObject]:
     turning = forecast.angular_velocities
     return [
         ForecastObject(
             **ball._asdict(),
             positions=forecast.positions[0, ball.id].tolist(),
             covariances=forecast.covariances[0, ball.id].tolist(),
-            angular_velocities=None if turning is None else turning[0, ball.id].tolist(),
+            angular_velocities=None
+            if turning is None or ball.motion == "kinematic"
+            else turning[0, ball.id].tolist(),
+            alternative=None if other is None else _alternative(other, ball),
         )
         for ball in balls
     ]
+
+
+def _alternative(other: Forecast, ball: BallDetails) -> AlternativeForecast:
+    return AlternativeForecast(
+        motion="network" if ball.motion == "kinematic" else "kinematic",
+        positions=other.positions[0, ball.id].tolist(),
+        covariances=other.covariances[0, ball.id].tolist(),
+    )

@@ -4,16 +4,20 @@ Axes: B requests, N balls, T steps, K frames.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
+from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS, CovarianceSource, Manifest, OutputName
 from rollcast.ood import Familiarity
 from rollcast.rollout import Arrays, Step
 from service.errors import DivergedError
+
+MARGIN_PX = NETWORK_FRAME_SIZE / 10
+LARGEST_SIGMA_PX = NETWORK_FRAME_SIZE / 2
 
 
 @runtime_checkable
@@ -55,6 +59,29 @@ class Forecast:
     """rad/s."""
     final_positions: Float[np.ndarray, "B N 2"] | None
     """Pixels."""
+
+    def mixed(self, other: "Forecast", balls: Bool[np.ndarray, " N"]) -> "Forecast":
+        """Return the forecast with the positions and covariances of some balls from another one."""
+        chosen = balls[:, None, None]
+        return replace(
+            self,
+            positions=np.where(chosen, other.positions, self.positions),
+            covariances=np.where(chosen[..., None], other.covariances, self.covariances),
+        )
+
+    def within_frame(self) -> "Forecast":
+        """Return the forecast with places near the 128-pixel frame and bounded covariances.
+
+        A ball that leaves the frame is answered at most :data:`MARGIN_PX` outside of it, and no
+        standard deviation exceeds :data:`LARGEST_SIGMA_PX`.
+        """
+        largest = np.linalg.eigvalsh(self.covariances)[..., -1]
+        shrink = np.minimum(1, LARGEST_SIGMA_PX**2 / np.maximum(largest, 1e-9))
+        return replace(
+            self,
+            positions=self.positions.clip(-MARGIN_PX, NETWORK_FRAME_SIZE + MARGIN_PX),
+            covariances=self.covariances * shrink[..., None, None].astype(np.float32),
+        )
 
     def rescaled(
         self, length: float, rate: float, origin: tuple[float, float] = (0.0, 0.0)
@@ -115,6 +142,35 @@ def assemble(
     )
     _refuse_divergence(forecast, first_step)
     return forecast
+
+
+class CovarianceFloor:
+    """Keeps covariances from shrinking beyond the last calibrated step of a forecast.
+
+    Parameters
+    ----------
+    calibrated
+        Steps whose covariances were fitted to residuals.
+    """
+
+    def __init__(self, calibrated: int) -> None:
+        self._calibrated = calibrated
+        self._largest: Float[np.ndarray, "B N"] | None = None
+
+    def apply(self, forecast: Forecast, first_step: int) -> Forecast:
+        """Return the next steps of the forecast, whose first one is ``first_step``."""
+        covariances = forecast.covariances
+        traces = covariances[..., 0, 0] + covariances[..., 1, 1]
+        steps = np.arange(first_step, first_step + traces.shape[2], dtype=np.intp)
+        # Steps before the last calibrated one are no floor for those after it.
+        floors = np.where(steps >= self._calibrated - 1, traces, 0.0)
+        if self._largest is not None:
+            floors = np.concatenate([self._largest[..., None], floors], axis=-1)
+        floors = np.maximum.accumulate(floors, axis=-1)[..., -len(steps) :]
+        self._largest = floors[..., -1]
+        scale = np.maximum(1, floors / np.maximum(traces, 1e-9))
+        scaled = covariances * scale[..., None, None].astype(np.float32)
+        return replace(forecast, covariances=scaled)
 
 
 def _held(steps: np.ndarray, known: int) -> np.ndarray:

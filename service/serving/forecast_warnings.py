@@ -29,6 +29,14 @@ def replaced(chosen: Manifest, used: Manifest) -> str:
     )
 
 
+def left_frame(step: int) -> str:
+    """Return the warning of a ball whose forecast leaves the frame."""
+    return (
+        f"The forecast leaves the frame at step {step}: nothing is known of what lies outside, and "
+        "later positions stay within a tenth of the frame around it."
+    )
+
+
 def _of_horizon(manifest: Manifest, horizon: int) -> list[str]:
     found: list[str] = []
     if horizon > manifest.trained_horizon:

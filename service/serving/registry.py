@@ -59,6 +59,8 @@ class ModelQuery:
     final_frame: bool = False
     prompted: bool = False
     """Whether points say which balls are meant; ``objects`` is their number."""
+    square: bool = True
+    """Whether the frames are squares, as models for a fixed number of balls need them."""
 
 
 class Registry:
@@ -175,7 +177,8 @@ class Registry:
         of_any_number = [p for p in fitting if p.manifest.max_objects is not None]
         made_for_it = [p for p in fitting if p.manifest.max_objects is None]
         # Those for a fixed number of balls cannot be told which ones are meant.
-        peers = of_any_number if query.prompted else made_for_it or of_any_number
+        free = query.prompted or not query.square
+        peers = of_any_number if free and of_any_number else made_for_it or of_any_number
         if query.scenario is None:
             known = {scenario for peer in peers for scenario in peer.manifest.scenarios}
             scenarios = known - {"footage"} or known
@@ -201,15 +204,15 @@ class Registry:
     def for_unfamiliar_frames(self, chosen: Predictor) -> Predictor | None:
         """Return the model that replaces a choice of "auto" for out-of-distribution frames.
 
-        It was trained on frames of random appearance and forecasts the same balls, scenarios and
-        frames; None when no such model is served.
+        It was trained on frames of random appearance and forecasts as many balls of the same
+        scenarios and frames; None when no such model is served.
         """
         wanted = chosen.manifest
         suitable = [
             predictor
             for predictor in self.served
             if predictor.manifest.random_appearances
-            and predictor.manifest.objects == wanted.objects
+            and predictor.manifest.follows(wanted.objects)
             and predictor.manifest.frames == wanted.frames
             and set(wanted.scenarios) <= set(predictor.manifest.scenarios)
         ]

@@ -196,7 +196,7 @@ def _known(window: Window, radius: float, shake: Float[np.ndarray, "seen 2"]) ->
         window.frames,
         places + shake / HALF,
         np.full(len(centres), radius),
-        np.ones(places.shape[:2]),
+        (np.abs(places) <= 1).all(axis=-1).astype(float),
         _moving(HALF * places),
         np.array(centres),
         window.angular_velocities,

@@ -302,26 +302,30 @@ def _half_radius(distances: np.ndarray) -> tuple[float, ...]:
 def with_covariance(
     forecasts: Mapping[Key, Forecasts], covariance: CovarianceSource
 ) -> Mapping[Key, Forecasts]:
-    """Forecasts with the covariances that the service will answer with."""
+    """Forecasts with the covariances that the service will answer with.
+
+    Their horizon may be shorter than that of the fitted covariances.
+    """
     return {
         scenario: replace(
             made,
             covariances=_served_covariances(made, covariance),
             ellipse50_radii=None
             if covariance.ellipse50_radius is None
-            else np.array(covariance.ellipse50_radius),
+            else np.array(covariance.ellipse50_radius)[: made.positions.shape[2]],
         )
         for scenario, made in forecasts.items()
     }
 
 
 def _served_covariances(made: Forecasts, covariance: CovarianceSource) -> np.ndarray:
+    steps = made.positions.shape[2]
     if covariance.empirical is not None:
-        by_step = np.array(covariance.empirical, dtype=np.float32)
+        by_step = np.array(covariance.empirical, dtype=np.float32)[:steps]
         return np.tile(by_step, (*made.positions.shape[:2], 1, 1, 1))
     assert made.covariances is not None
     assert covariance.variance_scale is not None
-    scale = np.array(covariance.variance_scale, dtype=np.float32)
+    scale = np.array(covariance.variance_scale, dtype=np.float32)[:steps]
     return made.covariances * scale[:, None, None]
 
 

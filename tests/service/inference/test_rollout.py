@@ -1,5 +1,7 @@
 """The recurrent loop and what is made of its outputs, by values that are computed by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 from rollcast.manifest import CovarianceSource
 from rollcast.rollout import Step, roll_out, stacked
 from service.errors import DivergedError
-from service.inference.rollout import Forecast, assemble
+from service.inference.rollout import CovarianceFloor, Forecast, assemble
 from tests.service.samples import DotPredictor, dot, manifest
 
 FRAMES = np.stack([[dot(40 + 2 * index, 60 + index) for index in range(4)]])
@@ -164,3 +166,33 @@ def test_a_forecast_is_finite_or_refused(positions, first):
     else:
         assert isinstance(made, Forecast)
         assert np.isfinite(made.positions).all()
+
+
+def test_a_forecast_stays_near_the_frame_and_its_deviations_within_half_of_it():
+    made = replace(
+        assemble(outputs(3), PREDICTED),
+        positions=np.array([[[[64.0, 64], [500, 64], [64, -500]]] * 2]),
+        covariances=np.array([[[np.diag([9.0, 4]), np.diag([2.0e4, 1e4]), np.eye(2)]] * 2]),
+    )
+    bounded = made.within_frame()
+    np.testing.assert_allclose(bounded.positions[0, 0], [[64, 64], [140.8, 64], [64, -12.8]])
+    np.testing.assert_allclose(bounded.covariances[0, 0, 0], np.diag([9, 4]))
+    np.testing.assert_allclose(bounded.covariances[0, 0, 1], np.diag([64.0**2, 64.0**2 / 2]))
+
+
+@pytest.mark.parametrize("stepwise", [False, True])
+def test_covariances_do_not_shrink_beyond_the_last_calibrated_step(stepwise):
+    sizes = np.array([1.0, 5, 2, 3, 1, 4, 3])
+    expected = np.array([1.0, 5, 2, 3, 3, 4, 4])  # three steps are calibrated
+    covariances = (sizes[:, None, None] * np.eye(2))[None, None]
+    made = replace(assemble(outputs(7), PREDICTED), covariances=covariances)
+    floor = CovarianceFloor(3)
+    if stepwise:
+        answers = [
+            floor.apply(replace(made, covariances=covariances[:, :, k : k + 1]), k).covariances
+            for k in range(7)
+        ]
+        kept = np.concatenate(answers, axis=2)
+    else:
+        kept = floor.apply(made, 0).covariances
+    np.testing.assert_allclose(kept[0, 0, :, 0, 0], expected)

@@ -24,6 +24,8 @@ def test_the_answer_has_every_field_of_the_design(client):
                 "score": None,
                 "seen": None,
                 "warnings": [],
+                "motion": "network",
+                "alternative": None,
             }
         ],
         "times_s": [0.0, 0.025, 0.05],

@@ -141,3 +141,42 @@ def test_rectangles_are_for_models_that_read_them(client):
     response = client.post("/predict", json=body(images, model="dot"))
     assert response.status_code == 422
     assert "square" in response.json()["detail"]
+
+
+def test_both_motions_are_answered_and_auto_takes_kinematics_on_level_ground(start):
+    kinematic = {"acceleration_px": 0.1, "level_slope": 0.01}
+    client = start(lambda *_: Registry([served_balls(kinematic=kinematic)]))
+    seen = paths((40, 50))
+    fields = {"balls": prompt((40, 50)), "horizon": 6}
+    (named,) = ask(client, seen, model="dots", **fields)["objects"]
+    (chosen,) = ask(client, seen, **fields)["objects"]
+    assert (named["motion"], named["alternative"]["motion"]) == ("network", "kinematic")
+    assert (chosen["motion"], chosen["alternative"]["motion"]) == ("kinematic", "network")
+    assert chosen["alternative"]["positions"] == named["positions"]
+    assert chosen["alternative"]["covariances"] == named["covariances"]
+    assert chosen["positions"] == named["alternative"]["positions"]
+    assert chosen["angular_velocities"] is None
+    expected = np.array([40, 50]) + np.arange(6)[:, None] * STEP
+    assert np.allclose(chosen["positions"], expected, atol=2)
+    spreads = np.array(chosen["covariances"])[:, 0, 0]
+    assert (np.diff(spreads) > 0).all()
+    stream = client.post("/predict/stream", json=body(files(dots(seen, 128, 128)), **fields)).text
+    done = json.loads(stream.split("data: ")[-1])
+    assert done["objects"][0]["motion"] == "kinematic"
+
+
+def test_a_forecast_that_leaves_the_frame_says_when(client):
+    told = ask(client, paths((120, 64), step=np.array([3.0, 0])), balls=prompt((120, 64)))
+    (ball,) = told["objects"]
+    positions = np.array(ball["positions"])
+    first = int(np.argmax(positions[:, 0] > 128))
+    assert 2 <= first <= 3
+    assert f"leaves the frame at step {first}" in ball["warnings"][-1]
+    assert positions.max() <= 141
+
+
+def test_auto_sends_rectangles_to_the_model_that_reads_them(client):
+    seen = paths((0.4 * 320, 0.7 * 240), step=2.5 * STEP)
+    told = ask(client, seen, (240, 320), horizon=2)
+    assert told["model"]["name"] == "dots"
+    assert told["frame_size"] == [320, 240]
