@@ -40,7 +40,8 @@ def main() -> int:
     for old, new in zip(held.cells, made.cells, strict=True):
         if _said(old) != _said(new):
             print(
-                f"{NOTEBOOK.name} holds old outputs; `python -m docs.notebook` makes them anew:\n"
+                f"{NOTEBOOK.name} has outdated outputs; run `python -m docs.notebook` to update "
+                "them:\n"
                 f"{_said(old)}\n{_said(new)}",
                 file=sys.stderr,
             )
@@ -90,7 +91,7 @@ def _serving() -> Iterator[str]:
             assert process.stdout is not None
             found = re.search(r"http://\S+", process.stdout.readline())
             if found is None:
-                raise RuntimeError("the service does not start; `make serve` says why")
+                raise RuntimeError("the service does not start; run `make serve` for the reason")
             _wait_until_ready(found.group())
             yield found.group()
         finally:

@@ -347,9 +347,10 @@ def cards(models: Path) -> dict[str, str]:
 
 
 _LEAD = (
-    "Every committed model says of itself what it was trained on, how far off it is on scenes that "
-    "training never saw, and where its uncertainty comes from. A bare name means the default "
-    "version. [What the variants are](../guide/networks.md), and [how they compare](../results.md)."
+    "The card of each committed model states its training data, its errors on test scenes and "
+    "the source of its uncertainty. A name without a version selects the default version. See "
+    "[Networks](../guide/networks.md) for the architectures and [Results](../results.md) for a "
+    "comparison."
 )
 
 

@@ -1,1 +1,1 @@
-"""Rollcast forecasts rolling balls; this is what training, service and clients share."""
+"""Forecasts of rolling balls: code shared by training, service and clients."""

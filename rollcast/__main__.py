@@ -22,18 +22,17 @@ from rollcast.errors import RollcastError, UnreachableError
 
 NAME = "rollcast"
 HELP = """\
-Forecasts where rolling balls go.
-
-All commands but serve and track ask a running service (rollcast serve, or make serve).
+Forecast where rolling balls go. All commands except serve and track call a running service
+(rollcast serve, or make serve).
 
 \b
-A first try:
+Example:
   rollcast serve &
   rollcast doctor
   rollcast simulate ellipsoid --seed 7 --out scene
   rollcast predict scene --out overlay.png
 
-Exit codes: 0 done, 1 it failed (one line on stderr says why), 2 the arguments are wrong.
+Exit codes: 0 success, 1 failure (with one line on stderr), 2 invalid arguments.
 `rollcast --install-completion` completes commands and options in your shell.
 """
 USAGE = 2
@@ -54,7 +53,7 @@ def _with_key(
         str | None,
         typer.Option(
             metavar="KEY",
-            help="API key, for a service that asks for one; better in the environment, as "
+            help="API key, for a service that requires one; prefer the environment variable "
             f"{API_KEY_VARIABLE}",
             show_default=False,
         ),
@@ -96,7 +95,7 @@ def main(arguments: Sequence[str] | None = None, connect: Connect = Client) -> i
             outcome.finish()
     except typer.TyperException as error:
         command = getattr(getattr(error, "ctx", None), "command_path", NAME)
-        return _failed(f"{error.format_message()} ({command} --help tells more)", USAGE)
+        return _failed(f"{error.format_message()} ({command} --help has more)", USAGE)
     except UnreachableError as error:
         return _failed(f"{error}; is the service running (make serve)?")
     except (RollcastError, CommandError, OSError) as error:
@@ -109,7 +108,7 @@ def main(arguments: Sequence[str] | None = None, connect: Connect = Client) -> i
 
 
 def _print(text: str) -> None:
-    """Print a result; what the terminal's encoding lacks is escaped."""
+    """Print a result, escaping characters that the terminal's encoding lacks."""
     encoding = sys.stdout.encoding or "utf-8"
     try:
         print(text.encode(encoding, "backslashreplace").decode(encoding))

@@ -19,7 +19,7 @@ def open_clip(
     path
         One path, or those of several images.
     rate
-        Frames a second that the camera took; None for what a video tells.
+        Frames a second that the camera took; None to read it from the video.
     default_rate
         Frames a second of images, where ``rate`` is None.
 

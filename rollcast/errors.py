@@ -1,9 +1,9 @@
-"""Every exception that this package raises on purpose.
+"""Exceptions of this package.
 
 * RollcastError
   x SceneParametersError      scene parameters that do not fit together
   x SceneRejectedError        no acceptable scene comes out of a seed and its parameters
-  x FootageError              a video or image file cannot be read as asked
+  x FootageError              a video or image file cannot be read as requested
     + CropError               a crop does not lie inside the picture
     + FootageEndedError       footage ends before a time that is asked for
     + FrameError              a picture cannot be converted to a frame
@@ -38,9 +38,7 @@ class SceneParametersError(RollcastError):
     field
         Name of the parameter, a field of ``rollcast.scene.Scene``.
     value
-        What was given.
-    expected
-        What would be right, in words.
+        Given value. expected Expected value, in words.
     """
 
     def __init__(self, field: str, value: object, expected: str) -> None:
@@ -50,7 +48,7 @@ class SceneParametersError(RollcastError):
         self.expected = expected
 
     def __str__(self) -> str:
-        """Name the parameter, its value and what would be right."""
+        """Return the parameter, its value and the expected value."""
         return f"{self.field} is {self.value!r}, expected {self.expected}"
 
 
@@ -59,7 +57,7 @@ class SceneRejectedError(RollcastError):
 
 
 class FootageError(RollcastError):
-    """A video or an image file cannot be read as asked."""
+    """A video or an image file cannot be read as requested."""
 
 
 class CropError(FootageError):
@@ -67,7 +65,7 @@ class CropError(FootageError):
 
 
 class FootageEndedError(FootageError):
-    """Footage ends before a time that is asked for."""
+    """Footage ends before a requested time."""
 
 
 class FrameError(FootageError, ValueError):
@@ -75,7 +73,7 @@ class FrameError(FootageError, ValueError):
 
 
 class MissingExtraError(RollcastError, ImportError):
-    """A package is not installed that one of the extras brings.
+    """A package of one of the extras is not installed.
 
     Parameters
     ----------

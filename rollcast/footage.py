@@ -73,7 +73,7 @@ class Footage:
     times_s: Float64[np.ndarray, " frames"]
     """Seconds after the first frame of the whole footage."""
     crop: SquareCrop
-    """What of the picture they show."""
+    """Crop of the picture that the frames show."""
     blended_over_s: float = 0.0
     """Longest time between two frames of the camera that one of these is blended from; 0 when all
     are as the camera took them."""
@@ -288,7 +288,7 @@ def _blended(before: TakenFrame, after: TakenFrame, time_s: float) -> TimedFrame
 def from_moments(
     moments: Sequence[TimedFrame], crop: SquareCrop | None, warnings: Iterable[str] = ()
 ) -> Footage:
-    """Cut the same square out of every picture, by default the largest one in their middle."""
+    """Crop every picture to the same square, by default the largest one in the centre."""
     height, width = moments[0].picture.shape[:2]
     crop = crop or SquareCrop.centred(width, height)
     return Footage(

@@ -160,14 +160,14 @@ def open_image(source: Path | str | io.BytesIO) -> Image.Image:
 
 
 def is_image_name(name: str) -> bool:
-    """Whether a file name ends as those of one of FORMATS do."""
+    """Return whether a file name has the suffix of one of FORMATS."""
     _formats()
     ending = Path(name).suffix.lower()
     return Image.registered_extensions().get(ending) in FORMATS
 
 
 def is_heic(head: bytes) -> bool:
-    """Whether a file begins as HEIC (iPhone) pictures do."""
+    """Return whether a file begins like a HEIC (iPhone) picture."""
     return head[4:8] == b"ftyp" and head[8:12] in HEIC_BRANDS
 
 
@@ -197,26 +197,26 @@ def read_file(path: Path | str) -> bytes:
 
 
 def require_regular_file(path: Path | str) -> None:
-    """Refuse what would be waited for without an end.
+    """Reject files that would block reading.
 
     Raises
     ------
     FootageError
-        When the path names a pipe, a device or a socket.
+        If the path is a pipe, a device or a socket.
     OSError
-        When there is nothing of that name.
+        If the path does not exist.
     """
     mode = Path(path).stat().st_mode
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
         kind = "a pipe" if stat.S_ISFIFO(mode) else "a device or a socket"
         raise FootageError(
-            f"{shown_path(path)} is {kind}, and frames are read from more than one place of a "
-            "file: write it to a file first"
+            f"{shown_path(path)} is {kind}, but frames are read from several positions of a "
+            "file: write it to a regular file first"
         )
 
 
 def shown_path(path: Path | str) -> str:
-    """Return a path as text that can be printed and stored, whatever bytes are in its name."""
+    """Return a path as printable text, for any bytes in its name."""
     return os.fsencode(path).decode("utf-8", "backslashreplace")
 
 
@@ -322,7 +322,7 @@ def _rows_first(array: np.ndarray) -> np.ndarray:
         return np.moveaxis(array, 0, 2)
     raise FrameError(
         f"a frame has the shape {array.shape}, expected [height, width], [height, width, 1, 3 or "
-        "4] or [1, 3 or 4, height, width]; of several frames each is an item of a list"
+        "4] or [1, 3 or 4, height, width]; pass several frames as a list"
     )
 
 
@@ -336,7 +336,7 @@ def _to_8_bits(values: np.ndarray) -> UInt8[np.ndarray, "*shape"]:
     if kind == "u" and size == 2:
         return (values.astype(np.float32) / 257).round().astype(np.uint8)
     if kind == "f":
-        fix = "divide by the largest value there can be, as 255"
+        fix = "divide by the largest possible value, such as 255"
         _require_range(values, -FLOAT_SLACK, 1 + FLOAT_SLACK, "floats", fix)
         return (values.clip(0, 1).astype(np.float32) * 255).round().astype(np.uint8)
     raise TypeError(

@@ -89,7 +89,7 @@ class ImageSequence:
 
     @classmethod
     def from_files(cls, paths: Sequence[Path], rate: float, name: str) -> "ImageSequence":
-        """Return image files in the order given; numbers in their names tell gaps."""
+        """Return image files in the given order; numbers in their names determine gaps."""
         numbers, warnings = _numbering(paths)
         return cls(name, [_Page(path) for path in paths], rate, numbers, warnings)
 
@@ -171,12 +171,12 @@ def in_order(paths: Iterator[Path] | Sequence[Path]) -> list[Path]:
 
 
 def is_hidden(path: Path) -> bool:
-    """Whether file managers hide a file: ``.DS_Store``, ``._name`` that macOS leaves behind."""
+    """Return whether file managers hide a file, such as ``.DS_Store`` and ``._name``."""
     return path.name.startswith(".")
 
 
 def is_tiff(path: Path) -> bool:
-    """Whether a file begins as TIFF files do.
+    """Return whether a file begins like a TIFF file.
 
     Raises
     ------
@@ -196,7 +196,7 @@ def _head(path: Path) -> bytes:
 
 
 def _is_image(path: Path) -> bool:
-    """Whether a file is an image by its name or its content; reading a damaged one names it."""
+    """Return whether a file is an image by its name or its content."""
     if is_image_name(path.name):
         return True
     try:
@@ -214,15 +214,15 @@ def _parts(name: str) -> list[str | int]:
 
 
 def _numbering(paths: Sequence[Path]) -> tuple[list[int] | None, list[str]]:
-    """Return the place of each image in time, in images, and what to warn of."""
+    """Return the index of each image in time, and warnings."""
     found = _numbers_in(paths)
     if found is None:
         return None, []
     steps = np.diff(found)
     if (steps <= 0).any():
         return None, [
-            "the images are taken in the order in which they are named, which is not that of "
-            "their numbers; a folder is read by number"
+            "the images are used in the order of the arguments, which is not the order of their "
+            "numbers; images of a folder are sorted by number"
         ]
     step, often = Counter(steps.tolist()).most_common(1)[0]
     if step != steps.min() or 2 * often <= len(steps) or (steps % step).any():

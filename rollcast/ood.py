@@ -1,6 +1,6 @@
-"""How unlike a model's training data four frames look: a score, and whether they move at all.
+"""Out-of-distribution score of four frames, and detection of frames without motion.
 
-What a few frames look like is summed up in some forty numbers: their 8 x 8 thumbnail in the
+Frames are summarised in about forty numbers: their 8 x 8 thumbnail in the
 principal components of the training frames, how much of it those leave unexplained, how fine its
 texture is, and how much changes from frame to frame. The score is the Mahalanobis distance of these
 numbers from the nearest kind of scenes in the training, relative to what is usual there (decision
@@ -21,14 +21,14 @@ SHRINK = 4
 THUMBNAIL = 8
 """Cells a side of the thumbnail."""
 MOVED_LEVELS = 5.0
-"""By how many of 255 levels an average over such an area changes where a ball comes or goes."""
+"""Change of an area's average, in levels of 0 to 255, where a ball appears or disappears."""
 FLOOR = 1e-3
 """Added before logarithms are taken: a thousandth of the range of brightness is nothing."""
 
 
 @dataclass(frozen=True)
 class FrameStats:
-    """What four frames look like."""
+    """Statistics of four frames."""
 
     thumbnail: Float32[np.ndarray, " 192"]
     """Mean of the four, 8 x 8 cells of three colours, 0..1."""
@@ -40,7 +40,7 @@ class FrameStats:
 
     @property
     def is_still(self) -> bool:
-        """Whether nothing moves in the frames."""
+        """Return whether nothing moves in the frames."""
         return self.largest_change < MOVED_LEVELS
 
 
@@ -68,14 +68,14 @@ def frame_stats(frames: UInt8[np.ndarray, "K 128 128 3"]) -> FrameStats:
 
 @dataclass(frozen=True)
 class Familiarity:
-    """What training frames look like, a Gaussian for every kind of scenes."""
+    """Statistics of training frames: a Gaussian for every kind of scene."""
 
     thumbnail: Float32[np.ndarray, "kinds 192"]
     """Mean."""
     components: Float32[np.ndarray, "kinds parts 192"]
     """Principal components of the thumbnails, orthonormal."""
     mean: Float32[np.ndarray, "kinds numbers"]
-    """Of the numbers: parts along the components, the unexplained rest, the texture."""
+    """Statistics: parts along the components, the unexplained rest, the texture."""
     whitening: Float32[np.ndarray, "kinds numbers numbers"]
     """Turns differences from the mean into independent ones of variance 1."""
 

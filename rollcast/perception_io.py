@@ -1,4 +1,4 @@
-"""How the graph of a network's eye is asked, by the service and by those who prove an export."""
+"""Inputs and outputs of the perception graph, shared by the service and the export checks."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from rollcast.manifest import FRAMES_INPUT
 from rollcast.trajectory import OBSERVED_FRAMES
 
 PLACES = "places"
-"""Output of the eye's graph: where the balls are in the last of the frames, [B, N, 2]."""
+"""Output of the perception graph: ball positions in the last frame, [B, N, 2]."""
 FINALS = "finals"
 """Input of the encoder's graph of a network that also sees a final frame: the places there."""
 
@@ -21,14 +21,14 @@ Run = Callable[[Sequence[str], dict[str, Any]], Sequence[np.ndarray]]
 def run_perception(
     run: Run, wanted: Sequence[str], frames: UInt8[np.ndarray, "B K 128 128 3"]
 ) -> dict[str, np.ndarray]:
-    """Return what an encoder reads of the frames.
+    """Return the encoder's inputs for the frames.
 
-    A final frame is seen as four of balls at rest, in the same run (decisions 0019, 0112).
+    A final frame is passed as four frames of balls at rest, in the same run (decisions 0019, 0112).
 
     Parameters
     ----------
     run
-        Runs the eye's graph.
+        Function that runs the perception graph.
     wanted
         Names of the encoder's inputs.
     """

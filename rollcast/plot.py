@@ -1,6 +1,6 @@
 """Pictures of a forecast over the frames that it forecasts.
 
-Colours are of the palette by Okabe and Ito, which colour-blind readers can tell apart, on a dark
+Colours are of the palette by Okabe and Ito, which colour-blind readers can distinguish, on a dark
 casing that keeps them legible on any footage.
 """
 
@@ -36,7 +36,7 @@ CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 73)) for f in (np.cos, np.sin)])
 
 
 class TruePath(Protocol):
-    """What of a simulation is drawn; ``rollcast.client.Simulation`` has it."""
+    """Drawn attributes of a simulation, as of ``rollcast.client.Simulation``."""
 
     @property
     def positions(self) -> Float[np.ndarray, "objects T 2"]:
@@ -50,7 +50,7 @@ class TruePath(Protocol):
 
 
 class ForecastPath(TruePath, Protocol):
-    """What of a forecast is drawn; ``rollcast.client.Forecast`` has it."""
+    """Drawn attributes of a forecast, as of ``rollcast.client.Forecast``."""
 
     @property
     def covariances(self) -> Float[np.ndarray, "objects T 2 2"]:

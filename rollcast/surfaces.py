@@ -1,4 +1,4 @@
-"""The surfaces that balls roll on, as exact geometry: nearest points, normals, heights.
+"""Surfaces as exact geometry: nearest points, normals, heights.
 
 The simulator asks for contacts (nearest points with normals), the renderer for heights and
 normals under every pixel. A surface knows nothing of balls' motion or of images.
@@ -32,14 +32,14 @@ class Contact(NamedTuple):
 
 
 class Surface(Protocol):
-    """What every surface can tell."""
+    """Interface of all surfaces."""
 
     def contacts(self, centre: Vector3, radius: float) -> list[Contact]:
         """Local minima of the distance to ``centre`` that a ball of ``radius`` could touch."""
         ...
 
     def clears(self, centre: Vector3, radius: float) -> bool:
-        """Whether a ball can start at ``centre``: on the right side and not inside the surface."""
+        """Return whether a ball can start at ``centre``, outside the solid."""
         ...
 
     def height_and_normal(
@@ -99,7 +99,7 @@ class EllipsoidalBowl:
         return [self._contact(a * a * x / (t + a * a), y / (t + 1), z / (t + 1))]
 
     def clears(self, centre: Vector3, radius: float) -> bool:
-        """Whether a ball can start at ``centre``: inside the bowl and not through its wall."""
+        """Return whether a ball can start at ``centre``: in the bowl, clear of its wall."""
         return _clearance(self.contacts(centre, radius)[0], centre) >= radius - _TOUCH_M
 
     def _contact(self, x: float, y: float, z: float) -> Contact:
@@ -205,7 +205,7 @@ class Heightfield:
         return z
 
     def clears(self, centre: Vector3, radius: float) -> bool:
-        """Whether a ball can start at ``centre``: within the walls and above the ground."""
+        """Return whether a ball can start at ``centre``: within the walls and above the ground."""
         room = HEIGHTFIELD_HALF_WIDTH_M - radius + _TOUCH_M
         if max(abs(centre[0]), abs(centre[1])) > room:
             return False
@@ -330,7 +330,7 @@ class Table:
         return [Contact((x, y, z), self._normal)]
 
     def clears(self, centre: Vector3, radius: float) -> bool:
-        """Whether a ball can start at ``centre``: above the table and within the walls."""
+        """Return whether a ball can start at ``centre``: above the table and within the walls."""
         left, bottom, right, top = self.walls_m
         sides = (centre[0] - left, right - centre[0], centre[1] - bottom, top - centre[1])
         if min(sides) < radius - _TOUCH_M:

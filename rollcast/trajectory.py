@@ -21,7 +21,7 @@ FIRST_FORECAST_FRAME = OBSERVED_FRAMES - 1
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What the balls of one scene do, frame by frame.
+    """States of the balls of one scene in every frame.
 
     Attributes
     ----------
@@ -52,7 +52,8 @@ class Trajectory:
         """
         if start < 0 or start + frames > self.frames:
             raise IndexError(
-                f"frames {start}..{start + frames - 1} asked of a trajectory with {self.frames}"
+                f"frames {start}..{start + frames - 1} requested from a trajectory with "
+                f"{self.frames}"
             )
         part = slice(start, start + frames)
         return Trajectory(

@@ -38,7 +38,7 @@ from rollcast.frames import require_regular_file, shown_path
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 
 PROBED_FRAMES = 24
-"""Frames from the start that tell what a file's times are worth."""
+"""Number of first frames that are used to check a file's times."""
 NO_TIMESTAMPS = 0x80
 """FFmpeg's flag (AVFMT_NOTIMESTAMPS) of elementary streams: they hold pictures and no times."""
 DAMAGE_NAMED = 3
@@ -46,7 +46,7 @@ DAMAGE_NAMED = 3
 COLORSPACES = {1: "ITU709", 4: "FCC", 7: "SMPTE240M"}
 """Conversions by a file's tag (AVColorSpace); all other ones are BT.601's."""
 UNTAGGED, FULL_RANGE = 0, 2
-"""Tags (AVColorRange) of files that do not tell, and whose values span 0 to 255."""
+"""Tags (AVColorRange): unspecified, and full range (0 to 255)."""
 LAST_STAMP = 2**62
 """Time stamp beyond which none is sought."""
 ROUNDING = 0.05
@@ -61,7 +61,7 @@ class _Shown(NamedTuple):
 
 
 class _Probe(NamedTuple):
-    """What the first frames tell of a file."""
+    """Properties that are derived from the first frames of a file."""
 
     origin: int
     """Time stamp of the first frame."""
@@ -72,7 +72,7 @@ class _Probe(NamedTuple):
     interval_s: float | None
     """Seconds between frames, where the file has no times."""
     is_counted: bool
-    """Whether the k-th frame has the k-th time, since frames' own are missing or not ascending."""
+    """True if the k-th frame gets the k-th time, because its own is missing or not ascending."""
     is_interlaced: bool
 
 
@@ -206,16 +206,16 @@ class VideoFile:
         told: list[str] = []
         if self._probe.is_interlaced:
             told.append(
-                f"{self.name} is interlaced: each frame holds two half pictures and was "
-                "deinterlaced, so fast movement is less exact"
+                f"{self.name} is interlaced: its frames were deinterlaced, so fast motion is "
+                "less accurate"
             )
         if self._damage:
             places = sorted({f"{self._time_of(damage):.3f} s" for damage in self._damage})
             more = len(places) - DAMAGE_NAMED
             told.append(
                 f"{self.name} is damaged at {', '.join(places[:DAMAGE_NAMED])}"
-                f"{f' and {more} more places' if more > 0 else ''}: frames are missing there, and "
-                "the next ones may show traces"
+                f"{f' and {more} more places' if more > 0 else ''}: frames are missing there, "
+                "and the next ones may show artefacts"
             )
         return told
 
@@ -236,8 +236,8 @@ class VideoFile:
             if size != stored:
                 told = (
                     f"{self.name}: the picture changes from {size[0]} x {size[1]} to "
-                    f"{stored[0]} x {stored[1]} at {shown.time_s:.3f} s; cut the video there and "
-                    "read one part"
+                    f"{stored[0]} x {stored[1]} at {shown.time_s:.3f} s; split the video there "
+                    "and use one part"
                 )
                 yield TakenFrame(shown.time_s, partial(_refuse, told))
             else:
@@ -299,7 +299,7 @@ class VideoFile:
     def _decoded(
         self, container: InputContainer, stream: VideoStream, stamps: deque[int]
     ) -> Iterator[VideoFrame]:
-        """Decode what can be decoded; collect the packets' decoding times and damaged places."""
+        """Decode all valid packets; collect decoding times and damaged places."""
         packets = container.demux(stream)
         last: int | None = None
         for index in count():
@@ -351,8 +351,8 @@ class VideoFile:
             return probe if camera_hz is None else _rescaled(probe, known, stream, camera_hz)
         if camera_hz is None:
             raise FootageError(
-                f"{self.name} holds no times, as a camera's elementary stream: state how many "
-                "frames a second the camera took (--rate in the shell, camera_hz= in Python)"
+                f"{self.name} holds no times, as a camera's elementary stream: pass the camera's "
+                "frame rate (--rate in the shell, camera_hz= in Python)"
             )
         return _Probe(0, 1.0, 1.0, 1 / camera_hz, True, is_interlaced)
 
@@ -367,7 +367,7 @@ class VideoFile:
 
 @contextmanager
 def _opened(path: Path | str) -> Generator[InputContainer]:
-    """Open a file, never an address or a pattern of names, and translate what goes wrong."""
+    """Open a file, never an address or a pattern of names, and translate errors."""
     name = shown_path(path)
     try:
         require_regular_file(path)
@@ -476,7 +476,7 @@ def _refuse(told: str) -> UInt8[np.ndarray, "height width 3"]:
 
 
 def _is_full_range(picture: VideoFrame) -> bool:
-    """Whether black is 0 and white 255; without a tag, YUV is narrower and grey is not."""
+    """Return whether black is 0 and white 255; untagged YUV has a narrower range, grey has not."""
     if picture.color_range == UNTAGGED:
         return picture.format.name.startswith(("gray", "yuvj"))
     return picture.color_range == FULL_RANGE

@@ -12,7 +12,7 @@ from rollcast.errors import FootageError, MissingExtraError
 
 CODECS = {".mp4": "libx264", ".webm": "libvpx-vp9"}
 QUALITY = {"crf": "18"}
-"""Constant, and hard to tell from the pictures."""
+"""Constant quality, visually close to the original pictures."""
 GIF_TICK_MS = 10
 """A GIF's pictures last whole hundredths of a second."""
 

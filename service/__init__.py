@@ -1,1 +1,1 @@
-"""The forecasts over HTTP: registry, runtime, rollout and routes. It knows nothing of torch."""
+"""Forecasts over HTTP: registry, runtime, rollout and routes. Independent of torch."""

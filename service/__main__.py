@@ -30,15 +30,15 @@ def main() -> int:
         return _fail(str(error))
     if settings.keys_file is None and not settings.allow_unauthenticated and not _is_loopback(host):
         return _fail(
-            f"will not listen on {host} without API keys, for others may reach it. Name a file of "
-            "keys (python -m service.auth makes it): ROLLCAST_KEYS_FILE=keys.json. Or let "
-            "everybody ask: ROLLCAST_ALLOW_UNAUTHENTICATED=true"
+            f"refuses to listen on {host} without API keys. Create a key file with python -m "
+            "service.auth and set ROLLCAST_KEYS_FILE=keys.json, or allow unauthenticated "
+            "requests: ROLLCAST_ALLOW_UNAUTHENTICATED=true"
         )
     try:
         listener = socket.create_server((host, port), family=family)
     except OSError as error:
         reason = str(error.strerror).partition(" (")[0]
-        return _fail(f"cannot listen on {host}:{port}: {reason}; --port takes another one")
+        return _fail(f"cannot listen on {host}:{port}: {reason}; choose another port with --port")
     with listener:
         port = listener.getsockname()[1]
         print(f"Rollcast listens on http://{host}:{port} (documentation: /docs)", flush=True)
@@ -84,7 +84,7 @@ def _parser(settings: str) -> argparse.ArgumentParser:
         "--host",
         default="127.0.0.1",
         help="address to listen on; 0.0.0.0 opens the service to the network, which needs API keys "
-        "or ROLLCAST_ALLOW_UNAUTHENTICATED=true (default: this machine alone)",
+        "or ROLLCAST_ALLOW_UNAUTHENTICATED=true (default: loopback only)",
     )
     parser.add_argument(
         "--port",
@@ -103,7 +103,7 @@ def _port(text: str) -> int:
 
 
 def _is_loopback(host: str) -> bool:
-    """Whether an address, or every address of a name, is this machine's own."""
+    """Return whether an address, or every address of a name, is a loopback address."""
     try:
         found = socket.getaddrinfo(host, None)
     except OSError:

@@ -1,4 +1,4 @@
-"""Every refusal of the service, with the status and the stable type that a client sees.
+"""Errors of the service, with their HTTP status and stable type.
 
 * ServiceError
   x MalformedBodyError         400  the body cannot be parsed
@@ -36,7 +36,7 @@ from rollcast.errors import RollcastError
 
 @dataclass(frozen=True)
 class Mistake:
-    """One thing that is wrong with a request: where, what was given, what would be right."""
+    """One invalid value of a request: field, given value, expected value."""
 
     field: str
     value: object
@@ -44,7 +44,7 @@ class Mistake:
 
 
 class ServiceError(RollcastError):
-    """Root of the service's refusals.
+    """Base class of the service's errors.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class ServiceError(RollcastError):
 
 
 class MalformedBodyError(ServiceError):
-    """The body is not what its content type says."""
+    """The body does not match its content type."""
 
     status, slug, title = 400, "malformed-body", "The body cannot be read"
 
@@ -78,25 +78,25 @@ class MalformedBodyError(ServiceError):
 class UnauthorizedError(ServiceError):
     """The request has no API key that is good."""
 
-    status, slug, title = 401, "unauthorized", "An API key is needed"
+    status, slug, title = 401, "unauthorized", "An API key is required"
 
 
 class ForbiddenError(ServiceError):
     """The API key lacks the scope."""
 
-    status, slug, title = 403, "forbidden", "The API key may not do this"
+    status, slug, title = 403, "forbidden", "The API key lacks a scope"
 
 
 class UnknownModelError(ServiceError):
     """No model has that name or version."""
 
-    status, slug, title = 404, "unknown-model", "There is no such model"
+    status, slug, title = 404, "unknown-model", "The model does not exist"
 
 
 class BodyTooSlowError(ServiceError):
     """The body takes longer to arrive than the service waits."""
 
-    status, slug, title = 408, "body-too-slow", "The body takes too long"
+    status, slug, title = 408, "body-too-slow", "The body arrives too slowly"
 
 
 class BodyTooLargeError(ServiceError):
@@ -126,7 +126,7 @@ class BrokenImageError(ServiceError):
 class InvalidValueError(ServiceError):
     """One or several values are wrong."""
 
-    status, slug, title = 422, "invalid-value", "A value is not acceptable"
+    status, slug, title = 422, "invalid-value", "A value is invalid"
 
 
 class NoSuitableModelError(ServiceError):
@@ -138,7 +138,7 @@ class NoSuitableModelError(ServiceError):
 class SceneRejectedProblem(ServiceError):  # noqa: N818 - SceneRejectedError is the simulator's
     """No acceptable scene comes out of the seed and the parameters."""
 
-    status, slug, title = 422, "scene-rejected", "No acceptable scene can be drawn"
+    status, slug, title = 422, "scene-rejected", "No valid scene can be sampled"
 
 
 class DivergedError(ServiceError):
@@ -148,20 +148,20 @@ class DivergedError(ServiceError):
 
 
 class QueueFullError(ServiceError):
-    """More requests wait than the service is set to hold."""
+    """The request queue is full."""
 
     status, slug, title = 429, "queue-full", "The queue is full"
 
 
 class TooManyRequestsError(ServiceError):
-    """Somebody asks more often than the settings allow.
+    """A client exceeds its rate limit.
 
     Parameters
     ----------
     detail
-        What happened, in a sentence.
+        Description, in a sentence.
     retry_after_s
-        Seconds after which it may ask again.
+        Seconds until the next request is allowed.
     """
 
     status, slug, title = 429, "too-many-requests", "Too many requests"
@@ -186,13 +186,13 @@ class SimulationLostError(ServiceError):
 class TooManyBodiesError(ServiceError):
     """All request bodies together exceed the bytes that the service holds."""
 
-    status, slug, title = 503, "too-many-bodies", "Too many request bodies at once"
+    status, slug, title = 503, "too-many-bodies", "Too many request bodies in memory"
 
 
 class OutOfMemoryError(ServiceError):
     """The machine, or the container, has no memory left for the request."""
 
-    status, slug, title = 503, "out-of-memory", "There is not enough memory"
+    status, slug, title = 503, "out-of-memory", "Not enough memory"
 
 
 class ModelUnavailableError(ServiceError):
@@ -210,4 +210,4 @@ class NotReadyError(ServiceError):
 class DeadlineExceededError(ServiceError):
     """The answer takes longer than the client or the settings allow."""
 
-    status, slug, title = 504, "deadline-exceeded", "The answer takes too long"
+    status, slug, title = 504, "deadline-exceeded", "The deadline was exceeded"

@@ -40,7 +40,7 @@ async def change(state: State, action: Action, name: str) -> None:
 
 
 async def follow(state: State, changes: ModelChanges) -> None:
-    """Apply what other processes change until cancelled."""
+    """Apply model changes of other processes until cancelled."""
     while True:
         await asyncio.sleep(POLL_S)
         async with state.changing:
@@ -48,7 +48,7 @@ async def follow(state: State, changes: ModelChanges) -> None:
                 for action, name in changes.newer():
                     await _apply_others(state, action, name)
             except OSError:
-                log.exception("changes of models by other processes can no longer be read")
+                log.exception("model changes of other processes can no longer be read")
                 return
 
 
@@ -89,7 +89,7 @@ async def _load(state: State, name: str) -> None:
     refused = [model for model in versions if model.reason is not None]
     if refused:
         raise InvalidValueError(
-            "; ".join(f"{model.label} is refused: {model.reason}" for model in refused)
+            "; ".join(f"{model.label} is rejected: {model.reason}" for model in refused)
         )
 
 

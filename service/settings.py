@@ -216,12 +216,12 @@ def _file(path: str) -> Path:
     """Return the path of the settings' file: a missing one would otherwise be passed over."""
     file = Path(path)
     if not file.is_file():
-        raise ValueError(f"{FILE_VARIABLE}: there is no file {path}")
+        raise ValueError(f"{FILE_VARIABLE}: the file {path} does not exist")
     return file
 
 
 def described() -> str:
-    """Say what every setting means and what it is by default, a paragraph each."""
+    """Describe every setting and its default, one paragraph each."""
     parts: list[str] = []
     for name, field in Settings.model_fields.items():
         default = field.get_default(call_default_factory=True, validated_data={})

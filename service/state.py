@@ -1,4 +1,4 @@
-"""What the app holds while it runs; its lifespan fills and empties it."""
+"""State of the running app, created and released by its lifespan."""
 
 import asyncio
 from dataclasses import dataclass, field
@@ -28,9 +28,9 @@ class State:
     settings
         As they were at start.
     inference, simulation
-        Where forecasts and simulations are computed.
+        Executors of forecasts and simulations.
     metrics
-        What is counted of all that.
+        Metrics of the service.
     load
         Loads models from their folder.
     bodies
@@ -64,23 +64,23 @@ class State:
 
     @property
     def readiness(self) -> Literal["ready", "loading", "no usable model", "draining"]:
-        """Whether forecasts are answered, and why not."""
+        """Readiness, and its reason."""
         if self.phase != "serving":
             return self.phase
         return "ready" if self.registry.served else "no usable model"
 
     @property
     def idle(self) -> bool:
-        """Whether nothing is being computed."""
+        """Return whether nothing is being computed."""
         return self.inference.idle and self.simulation.idle
 
     def serve(self, registry: Registry) -> None:
-        """Answer with other models from now on; what has begun goes on with its own."""
+        """Replace the models; running requests keep theirs."""
         self.registry = registry
         self.metrics.models(registry)
 
     def require_open(self) -> None:
-        """Check that what needs no model may still be begun.
+        """Check that requests without a model are accepted.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""The parts of the client that differ between its two forms: here those of ``AsyncClient``.
+"""Parts of ``AsyncClient`` that differ from ``Client``.
 
 ``rollcast.client._sync`` has the same names for ``Client``.
 """

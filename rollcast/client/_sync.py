@@ -1,4 +1,4 @@
-"""The parts of the client that differ between its two forms: here those of ``Client``.
+"""Parts of ``Client`` that differ from ``AsyncClient``.
 
 ``rollcast.client._async`` has the same names for ``AsyncClient``.
 """
@@ -137,7 +137,7 @@ def _left_s(timeout: float | None) -> float | None:
 
 @contextmanager
 def within(deadline: Deadline) -> Generator[None]:
-    """Let a deadline run; whatever waits looks at it."""
+    """Run a deadline, which every wait checks."""
     deadline.resume()
     try:
         yield

@@ -149,10 +149,10 @@ class AsyncClient:
         final_frame: Frame | None = None,
         **options: Unpack[ForecastOptions],
     ) -> "AsyncForecastStream":
-        """Forecast as ``predict`` does, and get every step as soon as it is computed.
+        """Forecast like ``predict``, and yield every step as soon as it is computed.
 
-        Nothing is sent before the first step is asked for, or the context entered. A call is sent
-        again (``retries``) until its first step has arrived, and not after it.
+        The request is sent when the first step is requested or the context is entered. It is
+        retried (``retries``) until the first step has arrived, and not after it.
 
         Parameters
         ----------
@@ -289,7 +289,7 @@ class AsyncClient:
         return await self._run(calls.simulate(scenario, include_frames, include_surface, options))
 
     async def models(self) -> list[ModelEntry]:
-        """List every version of every model, those that cannot be used with the reason."""
+        """List every version of every model, with the reason if it cannot be used."""
         return await self._run(calls.models())
 
     async def model(self, name: str, version: Integer | None = None) -> ModelDetail:
@@ -322,7 +322,7 @@ class AsyncClient:
         final_frame: Frame | None,
         options: ForecastOptions,
     ) -> Call[Forecast]:
-        """Return the call for frames, or for those of a video."""
+        """Return the call for frames or for a video."""
         if not is_clip(frames):
             return await to_thread(make, frames, final_frame, options)
         name = named_model(options)

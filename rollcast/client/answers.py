@@ -1,4 +1,4 @@
-"""How answers are read, and which exception tells of one that cannot be."""
+"""Reading of responses, and their exceptions."""
 
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -56,7 +56,7 @@ def translated(request: httpx2.Request, proxy: Proxy | None) -> Generator[None]:
             ) from error
         except (httpx2.SSEError, httpx2.DecodingError, httpx2.InvalidURL, ValueError) as error:
             raise UnexpectedAnswerError(
-                f"{shown(request.url)} answered with what cannot be read{way}: {_reason(error)}"
+                f"{shown(request.url)} sent an answer that cannot be read{way}: {_reason(error)}"
             ) from error
         except httpx2.RequestError as error:
             raise UnreachableError(
@@ -114,8 +114,8 @@ def check_size(response: httpx2.Response, received: int, limit: int) -> None:
     announced = response.headers.get("content-length", "")
     if received > limit or (announced.isdecimal() and float(announced) > limit):
         raise UnexpectedAnswerError(
-            f"{shown(response.url)} answered with more than the {limit / MIB:g} MiB that are read "
-            "of this call's answer",
+            f"{shown(response.url)} answered with more than the {limit / MIB:g} MiB that are "
+            "allowed for this call",
             response.status_code,
         )
 

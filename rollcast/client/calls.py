@@ -39,7 +39,7 @@ Integer: TypeAlias = int | np.integer[Any]
 
 
 class ForecastOptions(TypedDict, total=False):
-    """Options of a forecast besides its frames; the service chooses those that are left out.
+    """Options of a forecast. The service chooses defaults for omitted options.
 
     These are the keyword arguments of ``Client.predict``, which describes them.
     """
@@ -66,7 +66,7 @@ class SimulationOptions(TypedDict, total=False):
     """Options of a simulation: keyword arguments of ``Client.simulate``, which describes them."""
 
     seed: Integer | None
-    """Seed that names the scene."""
+    """Seed of the scene."""
     objects: Integer | None
     """Number of balls."""
     steps: Integer
@@ -88,7 +88,7 @@ class Call(Generic[T]):
     method: str
     path: str
     read: Callable[[bytes | bytearray], T]
-    """Reader of the body; whatever it raises is the fault of the answer."""
+    """Reader of the body; its exceptions are reported as an invalid answer."""
     json: Mapping[str, Any] | None = None
     fields: Mapping[str, str] | None = None
     files: Sequence[Part] | None = None
@@ -97,11 +97,11 @@ class Call(Generic[T]):
     max_bytes: int = MAX_ANSWER_BYTES
     """Largest answer that is read."""
     horizon: int | None = None
-    """Number of steps that a forecast was asked for."""
+    """Number of requested steps."""
     objects: int | None = None
-    """Number of balls that a forecast was asked for."""
+    """Number of requested balls."""
     warnings: tuple[str, ...] = ()
-    """Reasons to trust a forecast less that the client knows."""
+    """Warnings of the client about a forecast."""
 
     def request(self, client: httpx2.Client | httpx2.AsyncClient, timeout: float) -> httpx2.Request:
         """Return the request for a client's base address.
@@ -127,7 +127,7 @@ class Call(Generic[T]):
                 timeout=timeout,
             )
         except (TypeError, ValueError, RecursionError, httpx2.InvalidURL) as error:
-            raise InvalidArgumentError(f"{self.path} cannot be asked: {error}") from error
+            raise InvalidArgumentError(f"{self.path} cannot be requested: {error}") from error
 
     def result(self, response: httpx2.Response, content: bytes | bytearray) -> T:
         """Read the answer.
@@ -147,7 +147,7 @@ class Call(Generic[T]):
             raise unexpected(response, error) from error
 
     def expect_at_most(self, steps: int) -> None:
-        """Raise ValueError when a forecast has more steps than were asked for."""
+        """Raise ValueError if a forecast has more steps than requested."""
         most = self.horizon or MAX_HORIZON
         require(steps <= most, f"the forecast has more than {most} steps")
 
@@ -157,7 +157,7 @@ class Call(Generic[T]):
         Raises
         ------
         ValueError
-            When it has other numbers of steps or balls than were asked for.
+            If the number of steps or balls differs from the request.
         """
         objects, steps = forecast.positions.shape[:2]
         for name, found, asked in (
@@ -271,7 +271,7 @@ def model(name: str, version: Integer | None) -> Call[ModelDetail]:
     try:
         path = f"/models/{quote(name, safe='')}"
     except (TypeError, ValueError) as error:
-        raise InvalidArgumentError(f"name is {name!r}, expected that of a model") from error
+        raise InvalidArgumentError(f"name is {name!r}, expected the name of a model") from error
     if version is not None:
         path += f"/versions/{_whole('version', {'version': version})}"
     return Call("GET", path, ModelDetail.model_validate_json)
@@ -300,7 +300,7 @@ def _number(name: str, value: object) -> float:
 
 
 def _plain(value: object) -> object:
-    """Return what NumPy's numbers and arrays are in JSON."""
+    """Convert NumPy numbers and arrays to JSON types."""
     if isinstance(value, np.ndarray | np.generic):
         return np.asarray(cast("Any", value)).tolist()
-    raise TypeError(f"{type(value).__name__} has no place in JSON")
+    raise TypeError(f"{type(value).__name__} cannot be encoded as JSON")

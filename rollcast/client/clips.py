@@ -22,7 +22,7 @@ def is_clip(frames: "Frames | Clip") -> TypeGuard[Clip]:
 
 
 def named_model(options: ForecastOptions) -> tuple[str, int | None] | None:
-    """Return name and version of the model that is asked for, None for "auto"."""
+    """Return name and version of the requested model, None for "auto"."""
     name, _, version = options.get("model", AUTO_MODEL).partition("@")
     return None if name == AUTO_MODEL else (name, int(version) if version.isdecimal() else None)
 
@@ -30,7 +30,7 @@ def named_model(options: ForecastOptions) -> tuple[str, int | None] | None:
 def read_clip(
     clip: Clip, options: ForecastOptions, model: ModelDetail | None
 ) -> tuple[Frames, ForecastOptions, tuple[str, ...]]:
-    """Read four frames as a model knows them.
+    """Read four frames at the rate and crop of a model.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def read_clip(
     options
         Options of the forecast: ``start_s`` and ``frame_rate`` say which frames are read.
     model
-        The model that is asked for, whose frame rate and square are used; None for "auto".
+        The requested model, whose frame rate and crop are used; None for "auto".
 
     Returns
     -------
@@ -73,4 +73,4 @@ def blend_warnings(footage: Footage, rate: float) -> tuple[str, ...]:
         f"the camera took no frames {rate:g} a second apart: they are blended from those before "
         f"and after, up to {1e3 * over_s:.0f} ms apart"
     )
-    return (text if over_s <= LONG_BLEND_S else f"{text}, which is long for a ball that rolls",)
+    return (text if over_s <= LONG_BLEND_S else f"{text}, which is long for a rolling ball",)

@@ -1,4 +1,4 @@
-"""Where requests go: the address, the key and the proxy, checked before anything is sent."""
+"""Address, key and proxy of requests, checked before anything is sent."""
 
 import math
 from collections.abc import Callable
@@ -26,7 +26,7 @@ class Target:
 
     @classmethod
     def resolve(cls, base_url: str | None, api_key: str | None, *, over_network: bool) -> "Target":
-        """Take the arguments, and what they leave out from the environment.
+        """Use the arguments, and the environment for omitted ones.
 
         Raises
         ------
@@ -45,7 +45,7 @@ class Target:
         return cls(url, key, proxy)
 
     def options(self) -> dict[str, Any]:
-        """Return the arguments of an HTTP client besides its transport."""
+        """Return the arguments of an HTTP client except its transport."""
         headers = {} if self.api_key is None else {"Authorization": f"Bearer {self.api_key}"}
         return {"base_url": self.base_url, "headers": headers}
 

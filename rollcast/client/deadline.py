@@ -5,10 +5,10 @@ from typing import Self
 
 
 class Deadline(float):
-    """A time limit in seconds which is used up while it runs, and not while it is paused.
+    """A time limit in seconds that can be paused.
 
-    As a float it is the whole limit, so that it can be passed wherever a timeout is expected;
-    ``left_s`` is what remains of it.
+    As a float it is the whole limit, so that it can be passed as a timeout; ``left_s`` is the
+    remaining time.
     """
 
     _left_s: float
@@ -31,7 +31,7 @@ class Deadline(float):
             self._running_since = time.monotonic()
 
     def pause(self) -> None:
-        """Keep what remains."""
+        """Pause the deadline."""
         self._left_s, self._running_since = self.left_s(), None
 
     def check(self) -> None:

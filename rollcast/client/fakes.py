@@ -35,12 +35,12 @@ from rollcast.surfaces import surface_of
 from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ, OBSERVED_FRAMES
 
 NAME = "fake"
-"""Of the only model."""
+"""Name of the only model."""
 TRAINED_HORIZON = 20
 START = np.array([0.3, 0.3])
 BELOW = np.array([0.0, 0.2])
 VELOCITY = np.array([0.01, 0.004])
-"""Of the first ball at index 0, from each ball to the next and a step: shares of the frame."""
+"""Start of the first ball, offset between balls, and velocity per step, in shares of the frame."""
 RADIUS = 0.05
 SURFACE_POINTS = 9
 TURNING_RAD_S = (0.0, 1.0, 0.0)
@@ -75,7 +75,7 @@ def parts(body: bytes, boundary: str) -> tuple[dict[str, str], list[bytes], byte
 def typed(
     fields: Mapping[str, Any], frames: Sequence[bytes], final_frame: bytes | None
 ) -> dict[str, Any]:
-    """Return a request's body as the schema has it: a form tells its numbers as text."""
+    """Return a request's body with the types of the schema; forms send numbers as text."""
     if not frames:
         return dict(fields)
     numbers = {"horizon": int, "objects": int, "final_step": int, "frame_rate": float}
@@ -232,14 +232,14 @@ def nothing_here(request: str) -> Problem:
         type="/problems/not-found",
         title="Not Found",
         status=404,
-        detail=f"{request}: the fake service has the model {NAME!r} alone",
+        detail=f"{request}: the fake service only has the model {NAME!r} alone",
     )
 
 
 def _wrong(field: str, value: int | str | None, expected: str) -> Problem:
     return Problem(
         type="/problems/invalid-value",
-        title="A value is not acceptable",
+        title="A value is invalid",
         status=422,
         detail=f"{field}: expected {expected}",
         field=field,

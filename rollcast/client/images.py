@@ -12,7 +12,7 @@ from rollcast.footage import SquareCrop
 from rollcast.frames import END_OF_IMAGE, FrameLike, SupportsArray, as_frame, read_file
 
 Frame = FrameLike
-"""Whatever ``rollcast.frames.as_frame`` takes: an array or tensor, a Pillow image, a path, bytes or
+"""Any input of ``rollcast.frames.as_frame``: an array or tensor, a Pillow image, a path, bytes or
 an open file."""
 
 
@@ -81,7 +81,7 @@ def decoded(data: bytes) -> np.ndarray:
 
 
 def _is_read_by_the_service(data: bytes) -> bool:
-    """Whether bytes are a PNG, WebP or whole JPEG file."""
+    """Return whether bytes are a PNG, WebP or complete JPEG file."""
     if data.startswith(b"\xff\xd8\xff"):
         return data.endswith(END_OF_IMAGE)
     is_webp = data.startswith(b"RIFF") and data[8:12] == b"WEBP"

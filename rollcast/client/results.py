@@ -1,6 +1,6 @@
-"""What the calls return: numpy arrays, with their units.
+"""Results of the calls: NumPy arrays with units.
 
-Pixels are those of the frames that were sent or asked for; x to the right, y down, (0, 0) the
+Pixels refer to the frames that were sent or requested; x to the right, y down, (0, 0) the
 top-left corner of the top-left pixel. Angular velocities are rad/s about the world's axes.
 """
 
@@ -85,7 +85,7 @@ class ForecastStep:
 
 @dataclass(frozen=True)
 class Forecast:
-    """Where the balls go, steps t = 0 (the last observed frame) to T-1."""
+    """Forecast paths of the balls, steps t = 0 (the last observed frame) to T-1."""
 
     positions: Float64[np.ndarray, "objects T 2"]
     """Pixels."""
@@ -113,7 +113,7 @@ class Forecast:
     warnings: tuple[str, ...]
     """Reasons to trust the forecast less."""
     timing_ms: PredictTiming
-    """Where the service spent its time."""
+    """Time of each stage on the service."""
 
     def to_dataframe(self) -> "DataFrame":
         """Return a row for every step of every ball, in the order of time (needs pandas).
@@ -295,7 +295,7 @@ class Simulation(Generic[FramesT, SurfaceT]):
     """
 
     frames: FramesT
-    """RGB, uint8 [steps, S, S, 3]; None when they were not asked for."""
+    """RGB, uint8 [steps, S, S, 3]; None if they were not requested."""
     positions: Float64[np.ndarray, "objects steps 2"]
     """Pixels."""
     angular_velocities: Float64[np.ndarray, "objects steps 3"]
@@ -315,7 +315,7 @@ class Simulation(Generic[FramesT, SurfaceT]):
     frame_rate: float
     """Frames a second."""
     surface: SurfaceT
-    """The ground; None when it was not asked for."""
+    """The ground; None if it was not requested."""
 
     def to_dataframe(self) -> "DataFrame":
         """Return a row for every step of every ball, in the order of time (needs pandas).

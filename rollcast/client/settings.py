@@ -50,5 +50,5 @@ def proxy_for(scheme: str, host: str) -> Proxy | None:
 
 
 def certificates() -> dict[str, str]:
-    """Return the variables that are set of those that name certificate authorities."""
+    """Return the environment variables that set certificate authorities."""
     return {name: os.environ[name] for name in CERTIFICATE_VARIABLES if name in os.environ}

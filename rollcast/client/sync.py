@@ -150,10 +150,10 @@ class Client:
         final_frame: Frame | None = None,
         **options: Unpack[ForecastOptions],
     ) -> "ForecastStream":
-        """Forecast as ``predict`` does, and get every step as soon as it is computed.
+        """Forecast like ``predict``, and yield every step as soon as it is computed.
 
-        Nothing is sent before the first step is asked for, or the context entered. A call is sent
-        again (``retries``) until its first step has arrived, and not after it.
+        The request is sent when the first step is requested or the context is entered. It is
+        retried (``retries``) until the first step has arrived, and not after it.
 
         Parameters
         ----------
@@ -290,7 +290,7 @@ class Client:
         return self._run(calls.simulate(scenario, include_frames, include_surface, options))
 
     def models(self) -> list[ModelEntry]:
-        """List every version of every model, those that cannot be used with the reason."""
+        """List every version of every model, with the reason if it cannot be used."""
         return self._run(calls.models())
 
     def model(self, name: str, version: Integer | None = None) -> ModelDetail:
@@ -323,7 +323,7 @@ class Client:
         final_frame: Frame | None,
         options: ForecastOptions,
     ) -> Call[Forecast]:
-        """Return the call for frames, or for those of a video."""
+        """Return the call for frames or for a video."""
         if not is_clip(frames):
             return to_thread(make, frames, final_frame, options)
         name = named_model(options)

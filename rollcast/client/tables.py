@@ -1,4 +1,4 @@
-"""Results as columns: a row for every step of every ball, in the order of time."""
+"""Results as tables with a row for every step of every ball, in the order of time."""
 
 import csv
 import io
@@ -18,7 +18,7 @@ Columns = dict[str, np.ndarray]
 
 
 def forecast_columns(forecast: "Forecast") -> Columns:
-    """Return what ``Forecast.to_dataframe`` describes."""
+    """Return the columns of ``Forecast.to_dataframe``."""
     columns = _path_columns(forecast)
     covariances = _rows(forecast.covariances)
     columns |= {
@@ -30,7 +30,7 @@ def forecast_columns(forecast: "Forecast") -> Columns:
 
 
 def simulation_columns(simulation: "Simulation") -> Columns:
-    """Return what ``Simulation.to_dataframe`` describes."""
+    """Return the columns of ``Simulation.to_dataframe``."""
     return _path_columns(simulation) | _turning_columns(simulation.angular_velocities)
 
 

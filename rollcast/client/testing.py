@@ -1,4 +1,4 @@
-"""A service for tests that need none: it answers at once, in the process, without models.
+"""A fake service for unit tests: it answers at once, in the process, without models.
 
 >>> from rollcast.client import Client
 >>> from rollcast.client.testing import FakeService
@@ -40,7 +40,7 @@ class RecordedRequest:
     method: str
     path: str
     fields: Mapping[str, Any]
-    """Of the JSON body, or the form's fields as text."""
+    """Content of the JSON body, or the form's fields as text."""
     frames: Sequence[bytes] = ()
     """The image files of the observed frames."""
     final_frame: bytes | None = None
@@ -48,11 +48,11 @@ class RecordedRequest:
 
 
 class FakeService(httpx2.MockTransport):
-    """A transport for ``Client`` and for ``AsyncClient`` that answers as a service would.
+    """A transport for ``Client`` and ``AsyncClient`` that answers like a service.
 
-    Without more, balls roll along lines: those of its forecasts go on where its simulations show
-    them. What the real service would refuse for its shape (a horizon of 0, three frames) is refused
-    as well.
+    By default, balls move along lines, and forecasts continue the lines of the simulations.
+    Requests with an invalid shape (a horizon of 0, three frames) are rejected as by the real
+    service.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ, OBSERVED_FR
 HELP = """\
 Check Python, packages and the service, up to a forecast of a simulated ball.
 
-Every line begins with ok, note (works, but not all of it) or FAIL. The exit code is 1 if anything
+Every line begins with ok, note (works with limitations) or FAIL. The exit code is 1 if anything
 fails.
 
 \b
@@ -36,16 +36,16 @@ EXTRAS = {
     "video": ("av", "videos can be read and written"),
     "dataframe": ("pandas", "results become data frames"),
 }
-"""Extras of the package: what they bring, and what for."""
+"""Extras of the package, with their packages and purpose."""
 SEED = 7
 HORIZON = 20
-"""Of the forecast that is tried: every model was trained to as many steps."""
+"""Horizon of the test forecast; every model was trained for at least this many steps."""
 LARGEST_ERROR_PX = 10.0
 """Mean distance in 128 x 128 frames; a forecast that stays put errs more than twice as much."""
 
 
 class Finding(NamedTuple):
-    """What one check has found."""
+    """Result of one check."""
 
     verdict: Literal["ok", "note", "FAIL"]
     about: str
@@ -55,7 +55,7 @@ class Finding(NamedTuple):
 def doctor(
     context: typer.Context,
     url: Url = None,
-    form: Annotated[Literal["table", "json"], typer.Option("--format", help="how to print it")] = (
+    form: Annotated[Literal["table", "json"], typer.Option("--format", help="output format")] = (
         "table"
     ),
 ) -> Outcome:
@@ -94,7 +94,7 @@ def _extras() -> Iterator[Finding]:
 
 
 def _video_fault() -> str | None:
-    """Write a clip and read it; an installed package may be older than what is called of it."""
+    """Write a clip and read it, because an installed package may be too old."""
     try:
         from rollcast.video import read_frames
         from rollcast.video_writer import write_film

@@ -1,4 +1,4 @@
-"""``rollcast models``: what the service can forecast with, and what it refuses."""
+"""``rollcast models``: the service's models, and the rejected ones."""
 
 from typing import Annotated, Literal
 
@@ -9,10 +9,10 @@ from rollcast.commands.printing import as_json, as_table
 from rollcast.schemas import ModelEntry
 
 HELP = """\
-List the models of a service, refused ones with the reason.
+List the models of a service, with the reason for rejected ones.
 
-A bare NAME means the version that is marked with *. The error is that on validation data, in pixels
-of 128 x 128 frames; HORIZON is how many steps the model was trained on.
+NAME without a version selects the version marked with *. The error is measured on validation
+data, in pixels of 128 x 128 frames; HORIZON is the number of steps in the model's training.
 
 \b
 Examples:
@@ -24,7 +24,7 @@ Examples:
 def models(
     context: typer.Context,
     url: Url = None,
-    form: Annotated[Literal["table", "json"], typer.Option("--format", help="how to print it")] = (
+    form: Annotated[Literal["table", "json"], typer.Option("--format", help="output format")] = (
         "table"
     ),
 ) -> Outcome:

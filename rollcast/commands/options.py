@@ -1,4 +1,4 @@
-"""What commands take, and what they return: options that several share, and their outcome."""
+"""Shared options and the outcome of commands."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -21,12 +21,12 @@ Format: TypeAlias = Literal["table", "json", "csv"]
 
 
 class Outcome(NamedTuple):
-    """What a command has to say; it is printed when all has gone well."""
+    """Output of a command, printed when it succeeds."""
 
     text: str
-    """For stdout, without the last line's end."""
+    """Text for stdout, without the final newline."""
     warnings: Sequence[str] = ()
-    """For stderr."""
+    """Text for stderr."""
     code: int = 0
     """Exit code."""
     finish: Callable[[], None] | None = None
@@ -38,12 +38,12 @@ class CommandError(Exception):
 
 
 def client(context: typer.Context, url: str | None) -> Client:
-    """Return a client of an address, made by whoever runs the commands.
+    """Return a client for an address, created by the runner of the commands.
 
     Raises
     ------
     CommandError
-        When what the environment says of proxies and certificates cannot be used.
+        If the environment's proxies or certificates cannot be used.
     """
     connect: Connect = context.obj
     try:
@@ -51,7 +51,8 @@ def client(context: typer.Context, url: str | None) -> Client:
     except (ImportError, OSError, ValueError) as error:
         raise CommandError(
             f"no connection can be made ({error}): check the environment's proxies (ALL_PROXY, "
-            "HTTP_PROXY, HTTPS_PROXY; NO_PROXY=127.0.0.1 leaves this machine out) and certificates "
+            "HTTP_PROXY, HTTPS_PROXY; NO_PROXY=127.0.0.1 excludes local addresses) and "
+            "certificates "
             "(SSL_CERT_FILE, SSL_CERT_DIR)"
         ) from error
 
@@ -75,7 +76,7 @@ def _seconds(text: str) -> float:
 
 def _rate(text: str) -> float:
     if not re.fullmatch(r"[0-9]+(\.[0-9]*)?|\.[0-9]+", text) or not 0 < float(text) <= 100_000:
-        raise typer.BadParameter(f"{text} is not a number of frames a second")
+        raise typer.BadParameter(f"{text} is not a frame rate in Hz")
     return float(text)
 
 
@@ -139,7 +140,7 @@ Every: TypeAlias = Annotated[
     typer.Option(
         parser=whole_number(1, 1000),
         metavar="N",
-        help="take every N-th frame as it is, none is blended (default: 40 a second)",
+        help="use every N-th frame without interpolation (default: 40 frames per second)",
     ),
 ]
 Rate: TypeAlias = Annotated[
@@ -147,8 +148,8 @@ Rate: TypeAlias = Annotated[
     typer.Option(
         parser=_rate,
         metavar="HZ",
-        help="frames a second that the camera took: of images (default: 40), of an elementary "
-        "stream, which does not tell, and of slow motion, which is stored slower",
+        help="frame rate of the camera in Hz, for images (default: 40), elementary streams, "
+        "which do not state it, and slow motion, which is stored at a lower rate",
     ),
 ]
 Crop: TypeAlias = Annotated[
@@ -156,8 +157,8 @@ Crop: TypeAlias = Annotated[
     typer.Option(
         parser=_crop,
         metavar="X,Y,SIZE",
-        help="the square that is looked at: left column, upper row, side, in pixels (default: the "
-        "largest in the middle); models know frames that the bowl or plane just fills",
+        help="square crop given to the model: left column, top row, side, in pixels (default: "
+        "the largest in the centre); the bowl or plane should just fill it",
     ),
 ]
 Drawing: TypeAlias = Annotated[
@@ -165,8 +166,8 @@ Drawing: TypeAlias = Annotated[
     typer.Option(
         parser=_drawing,
         metavar="FILE",
-        help="draw over the footage: a picture (.png, .jpg, .webp), or frame by frame (.mp4, "
-        ".webm, .gif)",
+        help="draw the forecast over the footage: a picture (.png, .jpg, .webp) or a video "
+        "(.mp4, .webm, .gif)",
     ),
 ]
 FolderOrFilm: TypeAlias = Annotated[
@@ -174,14 +175,16 @@ FolderOrFilm: TypeAlias = Annotated[
     typer.Option(
         parser=_folder_or_film,
         metavar="FOLDER|FILE",
-        help="an empty or new folder for the frames, the truth and the scene; or a film of the "
-        "frames (.mp4, .webm, .gif)",
+        help="an empty or new folder for the frames, the true path and the scene; or a video of "
+        "the frames (.mp4, .webm, .gif)",
     ),
 ]
 Slower: TypeAlias = Annotated[
     int,
     typer.Option(
-        parser=whole_number(1, 100), metavar="N", help="show a film N times slower than it was"
+        parser=whole_number(1, 100),
+        metavar="N",
+        help="play the video N times slower than real time",
     ),
 ]
-Printed: TypeAlias = Annotated[Format, typer.Option("--format", help="how to print it")]
+Printed: TypeAlias = Annotated[Format, typer.Option("--format", help="output format")]

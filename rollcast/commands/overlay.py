@@ -17,15 +17,15 @@ from rollcast.trajectory import STEP_TOLERANCE
 from rollcast.video_writer import write_film
 
 LATER_FRAMES = 6
-"""In the picture, where the footage goes on after the observed frames."""
+"""Number of frames in the picture if footage follows the observed frames."""
 FRAMES_AT_ONCE = 40
-"""Of the footage that are held while a film is made."""
+"""Number of frames that are held in memory while a video is written."""
 
 
 def draw(
     path: Path, observed: Footage, later_frames: LaterFrames, forecast: Forecast, slower: int
 ) -> None:
-    """Write the picture or the film that a file's name asks for."""
+    """Write a picture or a video, depending on the file's suffix."""
     if path.suffix.lower() in FILMS:
         steps = len(observed.frames) - 1 + len(forecast.times_s)
         moments = counted(_moments(observed, later_frames, forecast), steps, "drawing")

@@ -31,9 +31,9 @@ from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON
 from rollcast.trajectory import FRAME_RATE_HZ
 
 HELP = """\
-Forecast the ball of a video or of images.
+Forecast balls in a video or in images.
 
-Reads four frames, asks a running service where the ball goes, prints the path and, with --out,
+Reads four frames, requests a forecast from a running service, prints the path and, with --out,
 draws it over the footage.
 
 \b
@@ -51,8 +51,9 @@ def predict(
         list[Path],
         typer.Argument(
             metavar="VIDEO|FOLDER|IMAGES",
-            help="a video, of which four frames are read, 40 a second or as the model knows them "
-            "(blended where the camera took none); or a folder of images, or at least four images",
+            help="a video, from which four frames are read, at 40 per second or at the model's "
+            "rate (interpolated where the camera has none); or a folder of images, or at least "
+            "four images",
             show_default=False,
         ),
     ],
@@ -65,8 +66,8 @@ def predict(
         typer.Option(
             parser=whole_number(1, MAX_HORIZON - 1),
             metavar="STEP",
-            help="show the frame of this step too, for a forecast in between: 39 with one ball, 29 "
-            "with two or three",
+            help="give the model the frame of this step too, to interpolate the path: 39 with "
+            "one ball, 29 with two or three",
         ),
     ] = None,
     horizon: Annotated[
@@ -74,8 +75,8 @@ def predict(
         typer.Option(
             parser=whole_number(1, MAX_HORIZON),
             metavar="STEPS",
-            help="steps to forecast, as far apart as the frames (default: "
-            f"{DEFAULT_HORIZON}; with --final up to that frame)",
+            help="number of steps to forecast, at the frame rate (default: {DEFAULT_HORIZON}; "
+            "with --final up to that frame)",
             show_default=False,
         ),
     ] = None,
@@ -87,18 +88,18 @@ def predict(
         typer.Option(
             parser=whole_number(1, MAX_FORECAST_OBJECTS),
             metavar="BALLS",
-            help="how many balls there are (default: the model's, with auto 1)",
+            help="number of balls (default: the model's, 1 with auto)",
         ),
     ] = None,
     scenario: Annotated[
-        Domain | None, typer.Option(help="let auto choose among models made for it")
+        Domain | None, typer.Option(help="restrict auto to models for this scenario")
     ] = None,
     url: Url = None,
     form: Printed = "table",
     out: Drawing = None,
     slower: Slower = 1,
 ) -> Outcome:
-    """Read frames, ask the service where the ball goes, say and draw what it answers."""
+    """Read frames, request a forecast, print and draw it."""
     if final is None and horizon is None:
         horizon = DEFAULT_HORIZON
     with client(context, url) as service, waiting("waiting for the service"):
@@ -122,7 +123,7 @@ def predict(
 
 
 def _known(service: Client, model: str) -> tuple[float, SquareCrop | None]:
-    """Return how many frames a second a model knows and, of footage, which square of them."""
+    """Return the frame rate of a model and, for models of footage, its crop."""
     if model == AUTO_MODEL:
         return FRAME_RATE_HZ, None
     name, _, version = model.partition("@")

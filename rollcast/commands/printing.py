@@ -30,7 +30,7 @@ def forecast_text(
             f"{model}: four frames from {observed.times_s[0]:.3f} s to "
             f"{observed.times_s[-1]:.3f} s ({observed.frame_rate:.3g} a second), crop "
             f"{crop.x},{crop.y},{crop.size}",
-            "time_s: seconds after the last of them; x, y: pixels of the uncropped picture",
+            "time_s: seconds after the last of these frames; x, y: pixels of the uncropped picture",
         ]
         told = [f"warning: {warning}" for warning in warnings]
         return "\n".join([*lines, *_path_table(columns), *told])

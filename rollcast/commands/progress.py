@@ -26,6 +26,6 @@ def counted(items: Iterable[T], total: int, what: str) -> Iterator[T]:
 
 
 def waiting(what: str) -> AbstractContextManager[object]:
-    """Show that something is waited for whose length nobody knows."""
+    """Show a progress indicator of unknown length."""
     console = Console(stderr=True)
     return console.status(what) if console.is_terminal else nullcontext()

@@ -1,4 +1,4 @@
-"""Frames of what a user names: a video, a folder of images, or images."""
+"""Frames of the user's footage: a video, a folder of images, or images."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -36,12 +36,12 @@ def read(
     Parameters
     ----------
     wanted_rate
-        Frames a second that the model knows.
+        Frame rate of the model, in Hz.
 
     Raises
     ------
     CommandError
-        When the options do not fit what was named.
+        If the options do not fit the footage.
     RollcastError
         When it cannot be read.
     """
@@ -87,7 +87,7 @@ def frame_of_step(step: int, observed: Footage, later_frames: LaterFrames) -> np
 def _observed(
     source: FrameSource, start_s: float, crop: SquareCrop | None, wanted_rate: float
 ) -> Footage:
-    """Return four frames, as far apart as the model knows them where the images allow it."""
+    """Return four frames at the model's rate if the images allow it."""
     try:
         return read_evenly(source, start_s=start_s, crop=crop, frame_rate=wanted_rate)
     except FootageEndedError:

@@ -13,8 +13,9 @@ from rollcast.commands.options import CommandError, Outcome, whole_number
 HELP = """\
 Serve the models of this checkout until stopped.
 
-The package alone has neither the service nor models: outside a checkout the command of the
-container is printed, and the exit code is 1. `python -m service --help` describes every setting.
+The package does not include the service and the models: outside a checkout, the command prints
+how to start the container, and the exit code is 1. `python -m service --help` describes every
+setting.
 
 \b
 Examples:
@@ -46,15 +47,16 @@ def serve(
     return Outcome(
         container_command(host, port),
         [
-            "the service is not part of the package; this starts its container, built in a "
-            "checkout with docker build -f docker/service.Dockerfile -t rollcast-service ."
+            "the service is not part of the package; start its container with the command below, "
+            "after building it in a checkout with docker build -f docker/service.Dockerfile -t "
+            "rollcast-service ."
         ],
         code=1,
     )
 
 
 def is_checkout(root: Path) -> bool:
-    """Tell whether the service lies beside the package."""
+    """Return whether the service lies beside the package."""
     return (root / "service" / "__main__.py").is_file()
 
 
@@ -64,10 +66,12 @@ def container_command(host: str, port: int) -> str:
 
 
 def _python(root: Path) -> str:
-    """Return an interpreter that has what the service needs."""
+    """Return an interpreter with the packages of the service."""
     made = root / ".venv" / "service" / "bin" / "python"
     if made.is_file():
         return str(made)
     if find_spec("fastapi") and find_spec("onnxruntime"):
         return sys.executable
-    raise CommandError("the service's packages are not installed; make serve installs and serves")
+    raise CommandError(
+        "the service's packages are not installed; make serve installs them and serves"
+    )

@@ -29,7 +29,7 @@ from rollcast.video_writer import write_film
 HELP = """\
 Simulate a scene: its frames and the true path.
 
-Without --out the path is printed. The same seed gives the same frames.
+Without --out the path is printed. The same seed always produces the same frames.
 
 \b
 Examples:
@@ -41,22 +41,21 @@ Examples:
 
 def simulate(
     context: typer.Context,
-    scenario: Annotated[
-        Scenario, typer.Argument(help="what the balls roll in", metavar="SCENARIO")
-    ],
+    scenario: Annotated[Scenario, typer.Argument(help="kind of scene", metavar="SCENARIO")],
     seed: Annotated[
-        int, typer.Option(parser=whole_number(0, MAX_SEED), metavar="SEED", help="names the scene")
+        int,
+        typer.Option(parser=whole_number(0, MAX_SEED), metavar="SEED", help="seed of the scene"),
     ] = 0,
     objects: Annotated[
         int,
-        typer.Option(
-            parser=whole_number(1, MAX_OBJECTS), metavar="BALLS", help="how many balls there are"
-        ),
+        typer.Option(parser=whole_number(1, MAX_OBJECTS), metavar="BALLS", help="number of balls"),
     ] = 1,
     steps: Annotated[
         int,
         typer.Option(
-            parser=whole_number(MIN_STEPS, MAX_STEPS), metavar="STEPS", help="frames, 40 a second"
+            parser=whole_number(MIN_STEPS, MAX_STEPS),
+            metavar="STEPS",
+            help="number of frames, 40 per second",
         ),
     ] = OBSERVED_FRAMES + DEFAULT_HORIZON,
     size: Annotated[
@@ -64,7 +63,7 @@ def simulate(
         typer.Option(
             parser=whole_number(MIN_FRAME_SIZE, MAX_IMAGE_SIZE),
             metavar="PIXELS",
-            help="side of the frames",
+            help="frame width and height",
         ),
     ] = 128,
     url: Url = None,
@@ -72,12 +71,12 @@ def simulate(
     out: FolderOrFilm = None,
     slower: Slower = 1,
 ) -> Outcome:
-    """Ask for a scene; say where its balls go, or write that and what they look like."""
+    """Request a scene; print its paths, or write paths and frames to files."""
     film = out is not None and out.suffix.lower() in FILMS
     if out is not None and not film and not _is_free(out):
-        raise CommandError(f"{out} is not an empty folder; --out takes a new one")
+        raise CommandError(f"{out} is not an empty folder; choose another one with --out")
     if film and size % 2:
-        raise CommandError(f"--size is {size}; a film's is even")
+        raise CommandError(f"--size is {size}; a video needs an even size")
     with client(context, url) as service, waiting("waiting for the service"):
         simulation = service.simulate(
             scenario,
@@ -108,7 +107,7 @@ def _is_free(folder: Path) -> bool:
 
 
 def _write_truth(folder: Path, simulation: Simulation, form: Format) -> Path:
-    """Write the true path beside the frames, and the scene, which can be asked for again."""
+    """Write the true path and the scene beside the frames."""
     (folder / "scene.json").write_text(as_json(simulation.scene.model_dump(mode="json")) + "\n")
     truth = folder / ("truth.json" if form == "json" else "truth.csv")
     truth.write_text(truth_text(simulation, "json" if form == "json" else "csv") + "\n")

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from rollcast.tracking.quality import Quality
 
 HELP = """\
-Track the balls of clips that a camera took from above.
+Track balls in clips from an overhead camera.
 
-The camera stands still and nothing is labelled: up to four balls are found by their shape, motion
-and colours. Clips that are named together are of one set-up, and their balls keep their order. For
-each one the folder gets tracks (NAME.parquet), a report on what to doubt of them (NAME.json) and a
-film to look at (films/NAME.mp4). Where a ball is not found its track has a gap.
+The camera must not move, and no labels are needed: up to four balls are detected by their shape,
+motion and colours. Clips in one command belong to one set-up, and their balls have the same
+order. For each clip the command writes tracks (NAME.parquet), a report of possible errors
+(NAME.json) and a video for review (films/NAME.mp4). If a ball is not found, its track has a gap.
 
 \b
 Examples:
@@ -50,13 +50,13 @@ def track(
         typer.Option(
             parser=whole_number(1, MAX_FORECAST_OBJECTS),
             metavar="BALLS",
-            help="how many there are (default: they are counted)",
+            help="number of balls (default: counted automatically)",
         ),
     ] = None,
     crop: Crop = None,
     rate: Rate = None,
     out: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="where tracks, reports and films go")
+        Path, typer.Option(metavar="FOLDER", help="folder for tracks, reports and videos")
     ] = Path("tracks"),
 ) -> Outcome:
     """Track every clip; write the tracks, a report and a film of each."""
@@ -76,7 +76,7 @@ def track(
         source = open_clip(clip, rate=rate)
         if isinstance(source, ImageSequence) and rate is None:
             raise CommandError(
-                f"{source.name} holds images, which tell no times: name their --rate"
+                f"{source.name} consists of images, which have no timestamps: pass their --rate"
             )
         tracks_file = beside(out / name, ".parquet")
         fingerprint = _fingerprint(clip)
@@ -125,7 +125,7 @@ def _names(clips: Sequence[Path]) -> dict[Path, str]:
     called = list(names.values())
     if len(set(called)) < len(clips):
         twice = max(called, key=called.count)
-        raise CommandError(f"two clips are called {shown_path(twice)}; name them apart")
+        raise CommandError(f"two clips are called {shown_path(twice)}; rename one of them")
     return names
 
 
@@ -144,10 +144,10 @@ def _fingerprint(clip: Path) -> str:
 
 
 def _refuse_other(path: Path, known: str, fingerprint: str) -> None:
-    """Refuse to write over the tracks of another clip; older ones do not tell whose they are."""
+    """Refuse to overwrite the tracks of another clip. Older files do not name their clip."""
     if known not in ("", fingerprint):
         raise CommandError(
-            f"{shown_path(path)} holds the tracks of another clip of that name; name another "
+            f"{shown_path(path)} holds the tracks of another clip of that name; choose another "
             "folder with --out, or remove it"
         )
 
@@ -168,8 +168,8 @@ def _table(quality: "Quality") -> str:
 
 def _doubts(quality: "Quality") -> list[str]:
     swaps = [
-        f"{quality.clip}: balls {one.balls[0]} and {one.balls[1]} may have been mistaken for each "
-        f"other after frame {one.last}"
+        f"{quality.clip}: balls {one.balls[0]} and {one.balls[1]} may be swapped after frame "
+        f"{one.last}"
         for one in quality.suspected_swaps
     ]
     jumps = [

@@ -20,7 +20,7 @@ BallPattern: TypeAlias = Literal[
     "plain", "two-tone", "striped", "octants", "numbered", "spots", "metallic", "glass", "disc"
 ]
 BALL_PATTERNS: tuple[BallPattern, ...] = get_args(BallPattern)
-"""``disc`` is a flat puck; metal and glass mirror and refract what is around them."""
+"""``disc`` is a flat puck; metal and glass reflect and refract their surroundings."""
 
 GroundPattern: TypeAlias = Literal[
     "plain", "cloth", "wood", "paper", "checkers", "stripes", "lines", "gradient", "marble",
@@ -103,7 +103,7 @@ class Clutter:
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Where the camera stands, relative to the paper's."""
+    """Pose of the camera relative to the paper's."""
 
     scale: float = 1.0
     """Larger is nearer."""
@@ -116,13 +116,13 @@ class CameraPose:
 
     @property
     def is_similarity(self) -> bool:
-        """Whether it scales, turns and shifts only."""
+        """Return whether the view only scales, rotates and shifts."""
         return self.tilt == (0.0, 0.0) and self.distortion == 0.0
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """What camera and file do to the picture."""
+    """Effects of camera and file format on the picture."""
 
     gains: RGB = (1.0, 1.0, 1.0)
     """Exposure and white balance."""
@@ -154,7 +154,7 @@ class Sensor:
     quality: int = 90
     """JPEG's, 1 to 100."""
     seed: int = 0
-    """Of the noise."""
+    """Seed of the noise."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class Appearance:
     """The look of one window."""
 
     ball: BallLook
-    """Of the ball that is meant."""
+    """Look of the prompted ball."""
     ground: GroundLook
     surroundings: GroundLook
     """Beyond the rim or table."""
@@ -211,7 +211,7 @@ def draw_color(generator: np.random.Generator) -> RGB:
 
 
 def mean_color(look: GroundLook) -> RGB:
-    """Return what a ground looks like from afar."""
+    """Return the mean colour of a ground."""
     one = np.asarray(look.colors[0])
     if look.pattern in ("checkers", "stripes", "gradient", "marble", "shapes", "rings", "wood"):
         one = (one + np.asarray(look.colors[1])) / 2
@@ -222,7 +222,7 @@ def mean_color(look: GroundLook) -> RGB:
 def draw_ball(
     generator: np.random.Generator, apart_from: RGB = (0.5, 0.5, 0.5), contrast: float = 0.18
 ) -> BallLook:
-    """Draw a ball that can be told from a colour: nobody sees a green ball on the same green."""
+    """Sample a ball whose colour differs from the given one, so that it is visible."""
     weights = np.array([5, 1.5, 1.5, 1.5, 1.5, 1.0, 0.8, 0.5, 1.0])
     pattern = BALL_PATTERNS[generator.choice(len(BALL_PATTERNS), p=weights / weights.sum())]
     color = _draw_ball_color(generator)
@@ -251,7 +251,7 @@ def _draw_ball_color(generator: np.random.Generator) -> RGB:
 
 
 def draw_ground(generator: np.random.Generator) -> GroundLook:
-    """Draw a ground or what surrounds it."""
+    """Sample a ground or its surroundings."""
     weights = np.array([3, 2, 1.5, 1, 1.5, 1, 1, 1, 1.5, 1.5, 0.7, 0.7])
     pattern = GROUND_PATTERNS[generator.choice(len(GROUND_PATTERNS), p=weights / weights.sum())]
     colors = [draw_color(generator) for _ in range(3)]
@@ -327,7 +327,7 @@ def _draw_camera(generator: np.random.Generator, strength: float) -> CameraPose:
 
 
 def draw_sensor(generator: np.random.Generator, strength: float = 1.0) -> Sensor:
-    """Draw what camera and file do; every effect is absent in most windows."""
+    """Sample effects of camera and file format; each effect is absent in most windows."""
 
     def happens(probability: float) -> bool:
         return bool(generator.random() < probability * strength)

@@ -10,7 +10,7 @@ from rollcast.errors import MissingExtraError
 
 @contextmanager
 def _silenced_stdout() -> Generator[None]:
-    """Drop what is written to the descriptor of stdout, whatever writes it."""
+    """Discard all output to the descriptor of stdout."""
     stdout = 1
     try:
         kept = os.dup(stdout)

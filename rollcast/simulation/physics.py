@@ -44,10 +44,10 @@ _UNLIMITED = 1e6
 
 @dataclass(frozen=True)
 class Material:
-    """What the paper leaves out, calibrated once to its published averages (decision 0014)."""
+    """Parameters missing in the paper, calibrated to its published averages (decision 0014)."""
 
     friction: float = 0.5
-    """Of every body; Bullet multiplies those of the two that touch."""
+    """Coefficient of every body; Bullet multiplies those of two bodies in contact."""
     rolling_resistance: float = 0.06
     """Resisting torque per normal force, in ball radii; it also slows the spin about the normal."""
     damping: float = 0.03
@@ -55,11 +55,11 @@ class Material:
 
     def __post_init__(self) -> None:
         if self.rolling_resistance > 0 and self.friction <= 0:
-            raise ValueError("rolling_resistance needs friction: Bullet multiplies the two")
+            raise ValueError("rolling_resistance needs friction, because Bullet multiplies the two")
 
 
 class _Coefficients(NamedTuple):
-    """Coefficients of the bodies of a scene; Bullet multiplies those of the two that touch."""
+    """Coefficients of a scene's bodies; Bullet multiplies those of two bodies in contact."""
 
     ball_friction: float
     ground_friction: float
@@ -116,12 +116,12 @@ class World:
         pybullet.disconnect(self._client)
 
     def load(self, scene: Scene, surface: Surface | None = None) -> None:
-        """Replace whatever the world held by the start of ``scene``.
+        """Replace the content of the world by the start of ``scene``.
 
         Parameters
         ----------
         surface
-            What the balls roll on instead of the scene's own surface.
+            Surface that replaces the scene's own.
         """
         client = self._client
         pybullet.resetSimulation(physicsClientId=client)
@@ -250,13 +250,13 @@ class World:
             )
 
     def left_bowl(self) -> bool:
-        """Whether a ball's support has passed the rim (never on a heightfield: it has walls)."""
+        """Return whether a ball's contact point has passed the rim (never on a heightfield)."""
         return isinstance(self.surface, EllipsoidalBowl) and any(
             point[2] > BOWL_RADIUS_M for points in self.touching for point in points
         )
 
     def can_leave_bowl(self) -> bool:
-        """Whether the balls' whole energy could still lift one of them to the rim."""
+        """Return whether the total energy suffices to lift a ball to the rim."""
         if not isinstance(self.surface, EllipsoidalBowl):
             return False
         energy = 0.0
@@ -289,7 +289,7 @@ class World:
         self._centres = list(state.centres)
 
     def state(self) -> State:
-        """Tell what the balls do now."""
+        """Return the current state of the balls."""
         poses = [
             pybullet.getBasePositionAndOrientation(ball, physicsClientId=self._client)
             for ball in self._balls

@@ -1,4 +1,4 @@
-"""Scenes that keep the paper's rejection rules, simulated and cut to what is asked for."""
+"""Scenes that satisfy the paper's rejection rules, simulated and cut to the requested frames."""
 
 import math
 from collections.abc import Mapping
@@ -122,9 +122,9 @@ class Simulator:
         )
 
     def _last_ball_stays(self, scene: Scene) -> bool:
-        """Whether the last ball starts clear of the others and, alone, stays in the bowl at first.
+        """Return whether the last ball starts clear of the others and stays in the bowl at first.
 
-        All that leave alone do so within half a second.
+        Balls that leave the bowl without a collision do so within half a second.
         """
         if _balls_overlap(scene):
             return False
@@ -174,7 +174,7 @@ class Simulator:
 
 
 def _in_view(scene: Scene, shown: Trajectory) -> bool:
-    """Whether the camera sees the centre of every ball; only an open table lets balls leave."""
+    """Return whether the camera sees all ball centres; balls can only leave an open table."""
     if scene.scenario != "table":
         return True
     half_width = camera_for(scene.scenario, 1).half_width_m

@@ -35,7 +35,7 @@ bowl's bottom: the square of the axis ratio."""
 
 
 class Start(NamedTuple):
-    """Where a ball begins, and how fast."""
+    """Start position and velocity of a ball."""
 
     position_m: Vector3
     velocity_m_s: Vector3
@@ -169,8 +169,8 @@ def _require_room(fields: Mapping[str, Any]) -> None:
         raise SceneParametersError(
             "axis_ratio",
             ratio,
-            f"at least {least:.3f} for a ball of radius {radius} m: in a narrower bowl it wedges "
-            "between the sides before it reaches the bottom",
+            f"at least {least:.3f} for a ball of radius {radius} m: in a narrower bowl it "
+            "touches both sides before it reaches the bottom",
         )
 
 

@@ -29,7 +29,7 @@ COLOUR_WEIGHT = 0.3
 SUREST = 4.0
 """Most that one frame's colours say, in nats."""
 CONTINUED = 12.0
-"""What it is worth, in nats, that a ball goes on where it was going."""
+"""Value, in nats, of a continuation along the velocity of the ball."""
 LONGEST_GAP = 30
 """Frames over which it can be told where a ball was going."""
 MAX_DRIFT = 0.6
@@ -44,11 +44,11 @@ class Identities:
     Attributes
     ----------
     balls
-        Index of the ball of each tracklet; -1 for what is none.
+        Index of the ball of each tracklet; -1 for outliers.
     palettes
         Shares of a ball's pixels by colour.
     value
-        How well it all fits, in nats.
+        Log likelihood of the assignment, in nats.
     """
 
     balls: list[int]
@@ -101,7 +101,7 @@ def assign_identities(
 def palette_evidence(
     seen: Float[np.ndarray, "tracklets colours"], palettes: Float[np.ndarray, "balls colours"]
 ) -> Float[np.ndarray, "tracklets balls"]:
-    """How much better each palette explains colours than chance does, nats a frame."""
+    """Log likelihood ratio of colours under each palette and under chance, nats per frame."""
     usual = (1 - OUTLIER_RATE) * palettes + OUTLIER_RATE / COLOURS
     return np.clip(COLOUR_WEIGHT * seen @ np.log(usual * COLOURS).T, -SUREST, SUREST)
 
@@ -199,7 +199,7 @@ def _given(
 
 
 def _pairs(tracklets: Sequence[Tracklet], radius_px: float) -> list[tuple[int, int, float]]:
-    """Pieces of which the second may continue the first, and what that is worth, nats."""
+    """Pairs of tracklets of which the second may continue the first, with their value in nats."""
     pairs: list[tuple[int, int, float]] = []
     for i, before in enumerate(tracklets):
         for j in range(i + 1, len(tracklets)):
@@ -217,9 +217,9 @@ def _pairs(tracklets: Sequence[Tracklet], radius_px: float) -> list[tuple[int, i
 
 
 def _strays_px(before: Tracklet, after: Tracklet, gap: int) -> float:
-    """By how much a tracklet misses the other if either goes on as it did: the smaller one.
+    """Smaller distance between two tracklets if either one is extrapolated.
 
-    With an impact in between, only one of the two velocities was the ball's.
+    After an impact between them, only one of the two velocities is valid.
     """
     end, begin = before.positions_px[-1], after.positions_px[0]
     forth = end + gap * before.velocity_px(at_end=True) - begin

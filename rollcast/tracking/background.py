@@ -1,5 +1,5 @@
 # pyright: standard
-"""What a picture looks like without balls, and what stands in front of it."""
+"""Background of a clip without balls, and foreground masks."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ CLEARER = 2.5
 ROUND = 0.72
 """Share of the smallest circle around it that something round fills."""
 LEAST_AREA = 20
-"""Pixels of what may be a ball that stayed for long."""
+"""Mask of a possible ball that rested for a long time."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Background:
 def background_of(pictures: UInt8[np.ndarray, "pictures height width 3"]) -> Background:
     """Find the background of pictures from all over a clip.
 
-    It is what each pixel shows most often: balls that come and go look different every time. One
+    The background of a pixel is its most frequent colour. One
     that rested for most of the clip is taken out with the help of a picture that shows the place
     without it.
 
@@ -95,8 +95,8 @@ def _usual(
     lively = unlike / len(pictures) > CHANGING
     if lively.mean() > MOST_IN_FRONT:
         raise FootageError(
-            f"{lively.mean():.0%} of the picture keep changing; tracking needs a camera that "
-            "stands still, even light and room around the balls"
+            f"{lively.mean():.0%} of the picture keep changing; tracking needs a fixed camera, "
+            "even light and space around the balls"
         )
     rows, columns = np.nonzero(lively)
     few = max(1, BAND_VALUES // (3 * len(pictures)))
@@ -152,7 +152,7 @@ def _take_out(
     seen: Float32[np.ndarray, "height width 3"],
     mask: Bool[np.ndarray, "height width"],
 ) -> None:
-    """Replace what is round, and outlined more clearly in the background: there it is gone."""
+    """Replace round regions that are outlined more clearly in the background than in a picture."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
     around = np.ones((2 * BORDER + 1, 2 * BORDER + 1), np.uint8)
     for label in range(1, count):
@@ -174,7 +174,7 @@ def _take_out(
 
 
 def is_round(shape: UInt8[np.ndarray, "height width"]) -> bool:
-    """Whether a region fills most of the smallest circle around it."""
+    """Return whether a region fills most of its smallest enclosing circle."""
     outlines, _ = cv2.findContours(shape, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     _, around = cv2.minEnclosingCircle(np.concatenate(outlines))
     # Outlines go through the middle of the outermost pixels.
@@ -184,6 +184,6 @@ def is_round(shape: UInt8[np.ndarray, "height width"]) -> bool:
 def _edge(
     picture: Float32[np.ndarray, "height width 3"], outline: Bool[np.ndarray, "height width"]
 ) -> float:
-    """How strongly colours change along most of an outline; walls cross it in few places."""
+    """Return how strongly colours change along most of an outline."""
     slopes = [cv2.Sobel(picture, cv2.CV_32F, *axes) for axes in ((1, 0), (0, 1))]
     return float(np.median(np.hypot(*slopes).max(axis=2)[outline]))

@@ -19,7 +19,7 @@ ALIKE = 0.12
 LEAST_ROUND = 8
 """Round things in all pictures, from which their radius is known."""
 RING = (1.15, 1.6)
-"""Where nothing stands around a ball, radii."""
+"""Inner radius of the free ring around a ball, in ball radii."""
 RING_WEIGHT = 0.5
 """What stands around counts against a ball, but not as much: it may touch another one."""
 LEAST_SCORE = 0.5
@@ -37,7 +37,7 @@ LARGE = 2.5
 
 @dataclass(frozen=True)
 class Detections:
-    """What may be balls in one picture."""
+    """Candidates for balls in one picture."""
 
     positions_px: Float[np.ndarray, "found 2"]
     radii_px: Float[np.ndarray, " found"]
@@ -46,7 +46,7 @@ class Detections:
     colours: Float32[np.ndarray, "found colours"]
     """Shares of a disc's pixels by colour (:func:`_colours`)."""
     touched_px: Float[np.ndarray, "others 2"]
-    """Centres of what would be balls if it were not part of something larger."""
+    """Centres of ball-like parts of larger objects."""
 
 
 class Detector:
@@ -86,12 +86,12 @@ class Detector:
 def radius_of_balls(
     background: Background, pictures: UInt8[np.ndarray, "pictures height width 3"]
 ) -> float:
-    """Return the usual radius of what is round in some pictures, pixels.
+    """Return the typical radius of round objects in some pictures, pixels.
 
     Raises
     ------
     FootageError
-        When there is nothing round that moves.
+        If no round object moves.
     """
     largest = LARGEST_RADIUS * min(background.picture.shape[:2])
     found: list[float] = []
@@ -108,9 +108,10 @@ def radius_of_balls(
                 found.append(radius)
     if len(found) < LEAST_ROUND:
         raise FootageError(
-            f"{len(found)} round things move in {len(pictures)} pictures, expected at least "
+            f"{len(found)} round moving objects were found in {len(pictures)} pictures, expected "
+            "at least "
             f"{LEAST_ROUND}: are there balls, of {SMALLEST_RADIUS_PX:g} to {largest:.0f} px in "
-            "radius, that do not stay where they are?"
+            "radius, that do not stay in one place?"
         )
     radii = np.array(found)
     # Specks are many and small, hands are large and of any size: balls are large and of one size.
@@ -147,7 +148,7 @@ def _peaks(
 def _centred(
     front: Float32[np.ndarray, "height width"], peaks: Sequence[tuple[int, int]], radius_px: float
 ) -> tuple[Float[np.ndarray, "found 2"], Float[np.ndarray, " found"]]:
-    """Centres and areas of what stands in front around each peak, nearer to it than to others."""
+    """Centres and areas of the foreground nearest to each peak."""
     centres = np.array(peaks, np.float64).reshape(-1, 2) + 0.5
     areas = np.zeros(len(peaks))
     for _ in range(3):
@@ -189,7 +190,7 @@ def _colours(
 def _touched(
     front: Float32[np.ndarray, "height width"], peaks: Sequence[tuple[int, int]], radius_px: float
 ) -> np.ndarray:
-    """Whether each peak lies in a region that is larger than its balls together."""
+    """Return whether each peak lies in a region that is larger than all its balls."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats((front > 0.5).astype(np.uint8))
     regions = np.array([labels[y, x] for x, y in peaks], int)
     areas = stats[regions, cv2.CC_STAT_AREA] if len(peaks) else np.empty(0)

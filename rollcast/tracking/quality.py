@@ -1,4 +1,4 @@
-"""What to doubt of tracks: how much was found, where not, and who may have been mistaken."""
+"""Quality report of tracks: shares found, gaps, and possible swaps."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -31,7 +31,7 @@ class CloseApproach(BaseModel):
     first: int
     last: int
     evidence: float
-    """By which their colours speak for what was decided, nats; little or negative is doubtful."""
+    """Log likelihood ratio of the assignment by colour, nats; small or negative is doubtful."""
 
 
 class Jump(BaseModel):
@@ -43,7 +43,7 @@ class Jump(BaseModel):
 
 
 class BallQuality(BaseModel):
-    """How well a ball was found."""
+    """Detection statistics of a ball."""
 
     ball: int
     colour: str
@@ -71,7 +71,7 @@ class Quality(BaseModel):
 
 @dataclass(frozen=True)
 class Doubts:
-    """What only the search for the balls knows.
+    """Observations during the search for the balls.
 
     Attributes
     ----------

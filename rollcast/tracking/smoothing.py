@@ -1,5 +1,5 @@
 # pyright: standard
-"""Positions of one ball, smoothed: what neighbouring frames say of a frame."""
+"""Smoothed positions of one ball."""
 
 import numpy as np
 from jaxtyping import Bool, Float

@@ -1,5 +1,5 @@
 # pyright: standard
-"""From a video to tracks."""
+"""Tracking of balls in a video."""
 
 from collections.abc import Iterable, Sequence
 from itertools import combinations
@@ -39,7 +39,7 @@ Palettes = Float[np.ndarray, "balls colours"]
 
 
 class Tracked(NamedTuple):
-    """What is known of a clip."""
+    """Properties of a clip."""
 
     tracks: Tracks
     quality: Quality
@@ -90,8 +90,10 @@ def track(
     tracklets = link_tracklets(frames, detector.radius_px)
     if not 0 < len(tracklets) < len(frames):
         raise FootageError(
-            f"{source.name}: {len(tracklets)} things like balls come and go in {len(frames)} "
-            "frames, expected fewer than frames and at least one; --crop leaves out what else moves"
+            f"{source.name}: {len(tracklets)} ball-like objects appear and disappear in "
+            f"{len(frames)} "
+            "frames, expected fewer than frames and at least one; exclude other moving objects "
+            "with --crop"
         )
     count = balls or balls_in(tracklets, len(frames), MOST_BALLS)
     known = _ordered(assign_identities(tracklets, frames, count, detector.radius_px), like)
@@ -147,7 +149,7 @@ def _ordered(found: Identities, like: Palettes | None) -> Identities:
 
 
 def _best_order(alike: Float[np.ndarray, "known balls"]) -> np.ndarray:
-    """For each known palette the ball that is most like it; balls beyond come last."""
+    """Return the most similar ball for each known palette; other balls come last."""
     _, order = linear_sum_assignment(-alike)
     rest = [ball for ball in range(alike.shape[1]) if ball not in order]
     return np.array([*order, *rest], int)
@@ -190,8 +192,8 @@ def _tracks(
         seen = np.flatnonzero(rows[:, ball] >= 0)
         if not len(seen):
             raise FootageError(
-                f"{name}: ball {ball + 1} of {shape[1]} was found in no frame; name how many there "
-                "are with --balls"
+                f"{name}: ball {ball + 1} of {shape[1]} was not found in any frame; set the "
+                "number of balls with --balls"
             )
         found = [(frames[i], rows[i, ball]) for i in seen.tolist()]
         measured = np.stack([frame.positions_px[row] for frame, row in found])
@@ -204,7 +206,7 @@ def _tracks(
 
 
 def _touched(tracks: Tracks, frames: Sequence[Detections]) -> np.ndarray:
-    """Whether something large is where a ball that is not found was last, [frames, balls]."""
+    """Return whether a large object covers the last position of a missing ball, [frames, balls]."""
     touched = np.zeros(tracks.found.shape, bool)
     last_px = tracks.positions_px[0]
     for index, found in enumerate(tracks.found):
@@ -225,7 +227,7 @@ def _hex(palette: Float[np.ndarray, " colours"]) -> str:
 def _encounters(
     tracks: Tracks, frames: Sequence[Detections], rows: np.ndarray, palettes: Palettes
 ) -> Iterable[CloseApproach]:
-    """Yield the times at which two balls were close, and what their colours say afterwards."""
+    """Yield the times at which two balls were close, and their colour evidence afterwards."""
     for one, other in combinations(range(tracks.balls), 2):
         apart = np.linalg.norm(tracks.positions_px[:, one] - tracks.positions_px[:, other], axis=-1)
         near = NEAR * float(np.nanmedian(tracks.radii_px[:, [one, other]]))

@@ -1,5 +1,5 @@
 # pyright: standard
-"""Pieces of tracks: detections that follow each other from frame to frame beyond doubt."""
+"""Tracklets: detections in consecutive frames that belong together without ambiguity."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -58,12 +58,12 @@ class Tracklet:
 
 
 def link_tracklets(frames: Sequence[Detections], radius_px: float) -> list[Tracklet]:
-    """Join the detections of neighbouring frames where there is no doubt.
+    """Join the detections of neighbouring frames where the match is unambiguous.
 
     Parameters
     ----------
     radius_px
-        Of the balls, about.
+        Approximate radius of the balls.
     """
     ended: list[Tracklet] = []
     going: list[Tracklet] = []

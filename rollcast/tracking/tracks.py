@@ -13,7 +13,7 @@ from pyarrow import parquet
 from rollcast.errors import FootageError
 
 ABOUT = b"rollcast"
-"""Key of the file's metadata that holds what is true of the whole clip, as JSON."""
+"""Key of the file metadata with the properties of the clip, as JSON."""
 COLUMNS = pa.schema(
     [
         pa.field("clip", pa.string()),
@@ -30,7 +30,7 @@ COLUMNS = pa.schema(
 
 @dataclass(frozen=True)
 class Tracks:
-    """Where the balls of a clip are, frame by frame.
+    """Positions of the balls of a clip in every frame.
 
     Attributes
     ----------
@@ -65,12 +65,12 @@ class Tracks:
 
     @property
     def balls(self) -> int:
-        """How many there are."""
+        """Number of balls."""
         return len(self.colours)
 
     @property
     def found(self) -> np.ndarray:
-        """Whether each ball was found in each frame, [frames, balls]."""
+        """Mask of the balls that were found in each frame, [frames, balls]."""
         return ~np.isnan(self.positions_px[..., 0])
 
     def write(self, path: Path) -> None:
@@ -100,7 +100,7 @@ class Tracks:
 
     @classmethod
     def read(cls, path: Path) -> "Tracks":
-        """Read what :meth:`write` wrote.
+        """Read a file of :meth:`write`.
 
         Raises
         ------

@@ -24,26 +24,32 @@ def main() -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m service.auth",
-        description="Make, list and remove the API keys of a file. The service that is started "
-        "with ROLLCAST_KEYS_FILE=FILE asks for one of them (Authorization: Bearer KEY) and reads "
-        "the file again when it changes.",
+        description="Create, list and remove the API keys in a key file. A service with "
+        "ROLLCAST_KEYS_FILE=FILE requires one of them (Authorization: Bearer KEY) and reloads "
+        "the file when it changes.",
     )
-    parser.add_argument("--file", type=Path, required=True, help="file of keys (JSON)")
+    parser.add_argument("--file", type=Path, required=True, help="key file (JSON)")
     commands = parser.add_subparsers(required=True)
-    add = commands.add_parser("add", help="make a key and print it, once; the file has its hash")
-    add.add_argument("name", help="who it is for: letters, digits, dot, dash, underscore")
+    add = commands.add_parser(
+        "add", help="create a key and print it once; the file stores only its hash"
+    )
+    add.add_argument("name", help="name of the key: letters, digits, dot, dash, underscore")
     add.add_argument(
         "--scope", dest="scopes", action="append", choices=SCOPES,
-        help="forecast (default), manage (load and unload models), metrics; more than once for "
-        "several",
+        help="forecast (default), manage (load and unload models), metrics; repeat it for several",
     )  # fmt: skip
     add.add_argument(
-        "--expires", type=date.fromisoformat, metavar="YYYY-MM-DD", help="last day it is good"
+        "--expires",
+        type=date.fromisoformat,
+        metavar="YYYY-MM-DD",
+        help="last day on which the key is valid",
     )
     add.set_defaults(run=_add)
     listed = commands.add_parser("list", help="list names, scopes and expiry")
     listed.set_defaults(run=_list)
-    remove = commands.add_parser("remove", help="remove a key; it is refused within a second")
+    remove = commands.add_parser(
+        "remove", help="remove a key; the service rejects it within a second"
+    )
     remove.add_argument("name")
     remove.set_defaults(run=_remove)
     return parser

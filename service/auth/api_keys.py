@@ -29,7 +29,7 @@ SCOPES: tuple[Scope, ...] = get_args(Scope)
 
 TOKEN_BYTES = 32
 TOKEN_PREFIX = "rollcast_"
-"""Tells scanners of leaked secrets, and people, what it is."""
+"""Prefix by which people and secret scanners recognise a key."""
 MAX_MISTAKES = 10
 """Mistakes of a file that its refusal names."""
 _TOKEN = re.compile(re.escape(TOKEN_PREFIX) + r"[A-Za-z0-9_-]{32,}")
@@ -58,7 +58,7 @@ class Key(BaseModel):
         return name
 
     def is_good(self, today: date) -> bool:
-        """Whether it has not expired."""
+        """Return whether the key has not expired."""
         return self.expires is None or today <= self.expires
 
 
@@ -85,8 +85,8 @@ class KeyFile(BaseModel):
         OSError
             When it cannot be read, or is not a regular file.
         ValueError
-            When it is not a file of keys. The message does not repeat what the file holds: keys are
-            pasted in wrong places.
+            If it is not a key file. The message does not repeat its content, which may contain
+            keys in wrong places.
         """
         try:
             return cls.model_validate_json(read_regular_file(path))
@@ -118,7 +118,7 @@ def exclusively(path: Path) -> Generator[None]:
 
 
 def _place(fault: ErrorDetails) -> str:
-    """Say where a fault is and what would be right, without names or values of the file."""
+    """Describe an error without names or values of the file."""
     known = {"keys", *Key.model_fields}
     parts = [part for part in fault["loc"] if isinstance(part, int) or part in known]
     place = ".".join(map(str, parts)) or "the file"
@@ -137,7 +137,7 @@ def without_tokens(text: str) -> str:
 
 
 def digest(token: str) -> str:
-    """Return what the file knows of a key."""
+    """Return the file's entry for a key."""
     return hashlib.sha256(token.encode("utf-8", "surrogateescape")).hexdigest()
 
 
@@ -161,7 +161,7 @@ class ApiKeyStore:
     def find(self, token: str) -> Key | None:
         """Return the key, unless it is unknown or has expired.
 
-        Every key is compared, in constant time: how long it takes tells nothing of them.
+        All keys are compared in constant time.
         """
         self._refresh()
         given, today = digest(token), datetime.now(UTC).date()
@@ -183,7 +183,7 @@ class ApiKeyStore:
             self._seen = stamp
             self._keys = KeyFile.read(self._path).keys
         except (OSError, ValueError) as error:
-            log.warning("%s cannot be read, the keys stay as they were: %s", self._path, error)
+            log.warning("%s cannot be read, the previous keys stay in use: %s", self._path, error)
         else:
             log.info("%d keys read", len(self._keys))
 

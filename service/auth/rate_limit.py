@@ -1,4 +1,4 @@
-"""How many requests each key, or each address, may send in a minute."""
+"""Rate limits per key or address."""
 
 import math
 import time
@@ -7,12 +7,12 @@ from service.errors import TooManyRequestsError
 
 
 class RateLimiter:
-    """Counts the requests of everybody who asks, in this process alone.
+    """Counts the requests of each client in this process.
 
     Parameters
     ----------
     per_minute
-        Requests that each may send.
+        Requests allowed per client.
     """
 
     def __init__(self, per_minute: int) -> None:
@@ -36,6 +36,6 @@ class RateLimiter:
             return
         reset = self._limiter.get_window_stats(self._allowed, asker).reset_time
         raise TooManyRequestsError(
-            f"{asker} has sent {self._allowed.amount} requests in a minute, as many as it may.",
+            f"{asker} exceeded the rate limit of {self._allowed.amount} requests per minute.",
             retry_after_s=max(1, math.ceil(reset - time.time())),
         )

@@ -1,1 +1,1 @@
-"""Everything that knows HTTP: request bodies, problem documents, routes, headers."""
+"""HTTP layer: request bodies, problem documents, routes, headers."""

@@ -1,4 +1,4 @@
-"""Who may ask the service for what, and how often (decisions 0123 and 0127)."""
+"""Authorisation and rate limits of requests (decisions 0123 and 0127)."""
 
 from fastapi import Request
 
@@ -18,8 +18,9 @@ OPEN_PATHS = frozenset(
         f"{PROTOCOL_PATH}/health/ready",
     }
 )
-"""Routes that ask nobody for a key: the page, the description, and what watches over the process.
-`/openapi.json` and static files are no routes of FastAPI's and ask nobody either."""
+"""Routes without a key: the page, the API description and health checks.
+
+`/openapi.json` and static files are not FastAPI routes and need no key either."""
 MANAGING_PATH = f"{PROTOCOL_PATH}/repository/models/"
 
 
@@ -33,16 +34,16 @@ def scope_for(path: str) -> Scope | None:
 
 
 async def check_access(request: Request, service: ServiceState) -> None:
-    """Let a request pass that may; every route asks this first.
+    """Check the API key and the rate limit of a request; a dependency of every route.
 
     Raises
     ------
     UnauthorizedError
-        Without a key that is known and has not expired.
+        If the key is missing, unknown or expired.
     ForbiddenError
-        With a key that lacks the scope.
+        If the key lacks the scope.
     TooManyRequestsError
-        When whoever asks has asked too often.
+        If the client exceeds its rate limit.
     """
     # The route's own path: what a proxy puts before it does not matter.
     scope = scope_for(request.scope["route"].path)
@@ -59,10 +60,10 @@ def _key(request: Request, api_keys: ApiKeyStore, scope: Scope) -> Key:
     """Return the key of a request, if it has the scope."""
     scheme, _, token = request.headers.get("authorization", "").partition(" ")
     if scheme.lower() != "bearer" or not token:
-        raise UnauthorizedError("This needs an API key: Authorization: Bearer KEY.")
+        raise UnauthorizedError("An API key is required: Authorization: Bearer KEY.")
     key = api_keys.find(token.strip())
     if key is None:
-        raise UnauthorizedError("This API key is not known, or has expired.")
+        raise UnauthorizedError("The API key is unknown or has expired.")
     if scope not in key.scopes:
         raise ForbiddenError(
             f"API key {key.name!r} lacks scope {scope!r} (has: {', '.join(map(repr, key.scopes))})."

@@ -1,4 +1,4 @@
-"""What FastAPI cannot see by itself: bodies that the routes read on their own, and refusals."""
+"""OpenAPI descriptions of request bodies that the routes parse, and of error responses."""
 
 from collections.abc import Sequence
 from typing import Any

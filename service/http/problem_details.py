@@ -1,7 +1,7 @@
-"""Every exception becomes a problem document (RFC 9457) here, and nowhere else.
+"""Conversion of exceptions to problem documents (RFC 9457).
 
-Under ``/v2`` it becomes what the Open Inference Protocol asks for instead: an object with one
-field, ``error``, and 400 where a value is wrong.
+Under ``/v2`` errors follow the Open Inference Protocol instead: an object with one field,
+``error``, and the status 400 for invalid values.
 """
 
 import json
@@ -52,7 +52,7 @@ LONGEST_DETAIL = 600
 MAX_MISTAKES = 10
 """Wrong values that an answer names; there may be more."""
 MOST_FAULTS = 4
-"""Faults that the one text of the protocol tells."""
+"""Maximum number of invalid values in the text of a protocol error."""
 
 
 def install_problem_handlers(app: FastAPI) -> None:
@@ -74,11 +74,11 @@ def invalid_values(errors: Sequence[Any]) -> ServiceError:
     fields = ", ".join(_shorten(mistake.field) for mistake in mistakes)
     beyond = len(errors) - len(mistakes)
     more = f" and {beyond} more" if beyond else ""
-    return InvalidValueError(f"{len(errors)} values are not acceptable: {fields}{more}", mistakes)
+    return InvalidValueError(f"{len(errors)} values are invalid: {fields}{more}", mistakes)
 
 
 def in_plain_words(message: str) -> str:
-    """Drop what pydantic puts before a reason."""
+    """Remove pydantic's prefix of a reason."""
     return message.removeprefix("Input should be ").removeprefix("Value error, ")
 
 
@@ -118,7 +118,7 @@ async def _answer(request: Request, error: Exception) -> Response:
             if isinstance(error, PASSING):
                 headers["Retry-After"] = str(request.app.state.service.settings.retry_after_s)
         case MemoryError():
-            refusal = OutOfMemoryError("There is no memory left for this request.")
+            refusal = OutOfMemoryError("There is not enough memory for this request.")
             return await _answer(request, refusal)
         case RequestValidationError():
             parameters = [fault | {"loc": fault["loc"][1:]} for fault in error.errors()]
@@ -131,7 +131,7 @@ async def _answer(request: Request, error: Exception) -> Response:
                 type="/problems/internal-error",
                 title="The service failed",
                 status=500,
-                detail="The fault is the service's; its log has the reason.",
+                detail="The service failed; its log contains the reason.",
             )
             # What adds these to every other answer is not asked when a route fails.
             headers |= ALWAYS | {POLICY: NOTHING_RUNS}

@@ -1,4 +1,4 @@
-"""From the bytes of a request to its validated body.
+"""Parsing and validation of request bodies.
 
 Reading is bounded by the bytes of one body, by its time, and by the bytes of all bodies. Parsing is
 bounded by counts that are taken from the bytes before, so that a refusal costs time and memory in
@@ -95,7 +95,7 @@ async def received(request: Request, limit: int | None = None) -> AsyncGenerator
         except TimeoutError as error:
             if held.evicted:
                 raise service.bodies.exceeded() from error
-            raise BodyTooSlowError(f"The body had not ended after {seconds:g} s.") from error
+            raise BodyTooSlowError(f"The body was not complete after {seconds:g} s.") from error
         finally:
             held.timeout = None
         if held.evicted:
@@ -106,7 +106,7 @@ async def received(request: Request, limit: int | None = None) -> AsyncGenerator
 def _check_encoding(request: Request) -> None:
     encoding = request.headers.get("content-encoding", "identity")
     if encoding.strip().lower() != "identity":
-        expected = "none: compressed bodies are not read"
+        expected = "none: compressed bodies are not supported"
         raise UnsupportedMediaTypeError.at("content-encoding", encoding, expected)
 
 
@@ -122,7 +122,7 @@ async def _read(request: Request, limit: int, held: HeldBody) -> bytearray:
             request.app.state.service.bodies.grow(held, len(chunk))
             body += chunk
     except ClientDisconnect as error:
-        raise MalformedBodyError("The client went away before the body ended.") from error
+        raise MalformedBodyError("The client disconnected before the end of the body.") from error
     return body
 
 
@@ -133,7 +133,7 @@ def _too_large(limit: int, size: object) -> ServiceError:
 def parse_json(body: Body, model: type[B], max_values: int = MAX_VALUES) -> B:
     """Parse and validate a JSON body.
 
-    Of a name that is given twice the last value counts.
+    If a name is given twice, the last value is used.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def parse_json(body: Body, model: type[B], max_values: int = MAX_VALUES) -> B:
     if names > MAX_NAMES or values > max_values:
         raise MalformedBodyError(
             f"The body has {names} names and {values} values and lists; "
-            f"at most {MAX_NAMES} and {max_values} are read. Images are base64 text."
+            f"at most {MAX_NAMES} and {max_values} are allowed. Encode images as base64 text."
         )
     # While lists are made that nothing can have dropped yet, collecting takes six times as long as
     # parsing; the interpreter's lock is held for all of it.
@@ -234,7 +234,7 @@ def parse_form(
 
 
 class _Form:
-    """Collects the parts of a form, from what its parser reports.
+    """Collector of the parts of a form, called by its parser.
 
     Attributes
     ----------
@@ -260,7 +260,9 @@ class _Form:
         """Begin a part."""
         self._parts += 1
         if self._parts > MAX_PARTS:
-            raise MalformedBodyError(f"The form has too many parts, at most {MAX_PARTS} are read.")
+            raise MalformedBodyError(
+                f"The form has too many parts, at most {MAX_PARTS} are allowed."
+            )
         self._disposition = ""
         self._content = bytearray()
 

@@ -4,14 +4,14 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 
 class RootPath:
-    """Tells an app its prefix, whether the proxy strips it from the paths it passes on or not.
+    """Middleware that sets the path prefix, whether or not the proxy strips it.
 
     Parameters
     ----------
     app
-        What answers.
+        The wrapped application.
     prefix
-        As in ``/rollcast``.
+        Path prefix such as ``/rollcast``.
     """
 
     def __init__(self, app: ASGIApp, prefix: str) -> None:

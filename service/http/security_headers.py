@@ -1,4 +1,4 @@
-"""Headers that every answer carries: what a browser may do with it, and who may read it."""
+"""Security headers of all responses."""
 
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware

@@ -18,7 +18,7 @@ from rollcast.schemas import REPLICA_HEADER, REQUEST_ID_HEADER
 from service.auth.api_keys import without_tokens
 
 Count: TypeAlias = Callable[[str, str, int, float], None]
-"""Is told a route's path, the method, the status and the seconds of a request."""
+"""Callback with the route's path, the method, the status and the seconds of a request."""
 
 LONGEST_PATH = 1000
 """Characters of a path that a log line shows: a head may hold sixty times as many."""
@@ -29,16 +29,16 @@ _REQUEST_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
 
 
 class AccessLog:
-    """Writes a line for every request once it is answered: whoever waits need not wait for that.
+    """Middleware that logs every request after its response.
 
     Parameters
     ----------
     app
-        What answers.
+        The wrapped application.
     replica
         Name of this process among several, for the line and a header; "" where it is alone.
     count
-        Is told of requests that have a route.
+        Callback for requests with a route.
     """
 
     def __init__(self, app: ASGIApp, replica: str, count: Count) -> None:
@@ -111,9 +111,9 @@ class TextLines(logging.Formatter):
 
 
 class JsonLines(JsonFormatter):
-    """Writes a record's time, level, logger, message, request, and what it has besides.
+    """Formatter for a record's time, level, logger, message, request and extra fields.
 
-    API keys that stand in any of that are cut down to their prefix.
+    API keys in any of these are cut to their prefix.
     """
 
     def __init__(self) -> None:
@@ -131,14 +131,14 @@ class JsonLines(JsonFormatter):
     def add_fields(
         self, log_data: dict[str, Any], record: logging.LogRecord, message_dict: dict[str, Any]
     ) -> None:
-        """Fill in what a line says of a record."""
+        """Fill in the fields of a log line."""
         super().add_fields(log_data, record, message_dict)
         if (of_request := request_id()) is not None:
             log_data["request_id"] = of_request
 
 
 def configuration(log_format: Literal["json", "text"], log_requests: bool) -> dict[str, Any]:
-    """Return what ``logging.config.dictConfig`` takes; everything goes to the standard error."""
+    """Return the configuration for ``logging.config.dictConfig``; output goes to stderr."""
     text = "%(asctime)s %(levelname)s %(name)s: %(message)s"
     formatter = {"()": JsonLines} if log_format == "json" else {"()": TextLines, "fmt": text}
     return {

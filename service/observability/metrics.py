@@ -1,4 +1,4 @@
-"""What Prometheus reads of the service."""
+"""Prometheus metrics of the service."""
 
 from collections.abc import Callable
 
@@ -24,13 +24,13 @@ BATCHES = (1, 2, 4, 8, 16, 32)
 METHODS = frozenset({"DELETE", "GET", "HEAD", "OPTIONS", "PATCH", "POST", "PUT"})
 """Methods with labels of their own: clients may send dozens of others."""
 PATH = "/metrics"
-"""Where they are read; who reads them is not counted."""
+"""Path of the metrics; its own requests are not counted."""
 
 
 class Metrics:
     """Counters of one app.
 
-    Where PROMETHEUS_MULTIPROC_DIR names a folder, they are those of all processes that write there.
+    With PROMETHEUS_MULTIPROC_DIR, they cover all processes that write to that folder.
     """
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class Metrics:
         )
         self._batch = Histogram(
             "rollcast_batch_size",
-            "Forecasts that step together",
+            "Forecasts per rollout batch",
             ["model"],
             registry=self.registry,
             buckets=BATCHES,
@@ -67,19 +67,19 @@ class Metrics:
         )
         self._durations = Histogram(
             "http_request_duration_seconds",
-            "Time from a request's head until its whole answer is handed over",
+            "Time from the head of a request to the end of its response",
             names,
             registry=self.registry,
             buckets=STAGE_SECONDS,
         )
         self.loading = Summary(
             "rollcast_loading_seconds",
-            "Time in which a process has loaded its models at its start",
+            "Time for loading the models at the start of a process",
             registry=self.registry,
         )
         self._models = Gauge(
             "rollcast_models",
-            "Versions of models, by whether they are served",
+            "Model versions by status",
             ["status"],
             registry=self.registry,
             multiprocess_mode="livemostrecent",
@@ -97,7 +97,7 @@ class Metrics:
             self._stages.labels(stage, model).observe(getattr(timing, stage) / 1e3)
 
     def batches(self, predictor: Predictor) -> Callable[[float], None]:
-        """Return what counts the steps of a rollout, told how many forecasts step together."""
+        """Return the observer of rollout batch sizes."""
         return self._batch.labels(predictor.manifest.label).observe
 
     def refusal(self, problem: str) -> None:
@@ -105,7 +105,7 @@ class Metrics:
         self._rejected.labels(problem).inc()
 
     def models(self, registry: Registry) -> None:
-        """Count the models that there are, and have figures for those that are served."""
+        """Set the number of models, and create the metrics of served models."""
         for predictor in registry.served:
             self.batches(predictor)
         for status in ("ready", "invalid", "unloaded"):

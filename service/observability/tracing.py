@@ -44,7 +44,7 @@ class Stages:
         return taken
 
     def _trace(self, model: str) -> None:
-        """Add a span for every stage; costs nothing to speak of while nobody traces."""
+        """Add a span for every stage; has no noticeable cost while tracing is off."""
         tracer = trace.get_tracer("rollcast")
         # Spans are told in nanoseconds of the wall clock.
         ahead = time.time_ns() - int(1e9 * time.perf_counter())

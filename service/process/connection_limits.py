@@ -1,7 +1,7 @@
-"""One connection: a client may neither send forever, nor leave its answer lying forever.
+"""Time limits of connections, for slow requests and unread responses.
 
-Uvicorn has no limits of its own for either: a request that never ends, or an answer that nobody
-takes, would hold a descriptor and memory until the client goes away.
+Uvicorn has neither limit: a request that never ends, or a response that the client does not
+read, would hold a descriptor and memory until the client disconnects.
 """
 
 import asyncio
@@ -15,10 +15,11 @@ from uvicorn.server import ServerState
 from service.settings import Settings
 
 MAX_HEAD_BYTES = 64 * 1024
-"""Of a request's line and headers together, as far as they arrive in several pieces."""
+"""Maximum bytes of a request line and its headers, if they arrive in several pieces."""
 OVERHEAD_RATIO = 8
-"""Bytes of a body's framing (lengths of chunks, trailers) for each of its own, beyond those of a
-head: a chunk of one byte has five."""
+"""Framing bytes (chunk lengths, trailers) allowed per body byte, beyond those of a head.
+
+A chunk of one byte has five."""
 LOOKS = 4
 """Times that a connection is looked at before its time is over."""
 
@@ -102,7 +103,7 @@ class Connection(HttpToolsProtocol):
         self._framing = 0
 
     def on_body(self, body: bytes) -> None:
-        """Count what is no body: trailers and extensions of chunks are kept by the parser."""
+        """Count framing bytes: the parser keeps trailers and chunk extensions in memory."""
         super().on_body(body)
         self._framing -= (1 + OVERHEAD_RATIO) * len(body)
 

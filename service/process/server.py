@@ -23,10 +23,10 @@ POLL_S = 0.02
 
 
 class Server(uvicorn.Server):
-    """Uvicorn, told to stop, that answers first what it has accepted (SIGTERM, SIGINT).
+    """Uvicorn server that answers accepted requests before it stops (SIGTERM, SIGINT).
 
     Readiness turns false at once, and new forecasts are refused with 503; the listener stays open
-    until nothing is being computed, so that whoever asks can see that. A second signal ends the
+    until nothing is being computed, so that clients can observe that. A second signal ends the
     wait. A thread that still computes shortly after the stop timeout, whatever it computes, ends
     with the process: its traceback goes to the standard error, and the exit code is 1.
     """
@@ -50,7 +50,7 @@ class Server(uvicorn.Server):
         self._told_at: float | None = None
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to accept connections, and tell so; a process that cannot start ends."""
+        """Accept connections and report it; a process that cannot start ends."""
         try:
             await super().startup(sockets)
         except SystemExit:  # would wait for threads that the app has started
@@ -59,7 +59,7 @@ class Server(uvicorn.Server):
         self._on_start()
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        """Take no more from the signal on: others that answer are told at the same moment."""
+        """Accept no more work after the signal; all workers get it at the same time."""
         super().handle_exit(sig, frame)
         if self._told_at is not None:
             self.force_exit = True

@@ -92,14 +92,14 @@ class Worker(Process):
         super().target(sockets)
 
     def receive(self) -> None:
-        """Read what the worker has sent: answers to pings, and once that it has started."""
+        """Read the messages of the worker: answers to pings, and its start."""
         with suppress(OSError, EOFError):
             while self.parent_conn.poll():
                 self.has_started = self.parent_conn.recv() or self.has_started
                 self._pinged_at = None
 
     def is_responsive(self) -> bool:
-        """Whether the worker has answered its last ping, or still has time to; does not wait."""
+        """Return whether the last ping is answered or not yet due, without waiting."""
         now = time.monotonic()
         if not self.has_started:
             return now - self._created_at <= START_TIMEOUT_S
@@ -148,7 +148,7 @@ class Supervisor(Multiprocess):
         self._has_served = False
         self._restarts = Counter(
             "rollcast_worker_restarts",
-            "Worker processes that were replaced, by whether they had exited or did not respond",
+            "Replaced worker processes by reason",
             ["reason"],
         )
         for reason in ("exited", "unresponsive"):
@@ -186,7 +186,7 @@ class Supervisor(Multiprocess):
             self._restarts.labels("unresponsive" if alive else "exited").inc()
 
     def terminate_all(self) -> None:
-        """Tell all workers to drain; told again, they stop waiting for answers."""
+        """Signal all workers to drain; a second signal skips waiting for requests."""
         for worker in self._workers:
             worker.process.terminate()
 
@@ -203,7 +203,7 @@ class Supervisor(Multiprocess):
                 self.terminate_all()
             wait([one.process.sentinel for one in left], POLL_S)
         for worker in left:
-            log.error("worker %s had not ended in time and is killed", worker.pid)
+            log.error("worker %s did not end in time and is killed", worker.pid)
             worker.kill()
         for worker in left:
             worker.process.join(KILL_TIMEOUT_S)
@@ -219,7 +219,7 @@ def supervise(settings: Settings, listener: socket.socket) -> int:
     try:
         shared = _shared_folder(worker_names(settings.processes))
     except OSError as error:
-        log.error("no room for the files that worker processes share: %s", error)
+        log.error("no room for the shared files of the worker processes: %s", error)
         return 1
     with shared as folder:
         supervisor = Supervisor(settings, listener, Path(folder))

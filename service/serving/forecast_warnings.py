@@ -82,7 +82,7 @@ def unfamiliar(predictor: Predictor, seen: FrameStats) -> list[str]:
         return []
     percent = 100 * known.false_alarm_rate
     return [
-        f"The frames look unlike those that {predictor.manifest.label} was trained on: their score "
-        f"of {score:.1f} is over {known.threshold:.1f}, as it is for {percent:.2g} % of those that "
-        "look like them. The forecast, and its covariances, may be far off."
+        f"The frames look unlike the training data of {predictor.manifest.label}: their "
+        f"out-of-distribution score of {score:.1f} exceeds {known.threshold:.1f} (false-alarm "
+        f"rate {percent:.2g} %). The forecast and its covariances may be far off."
     ]

@@ -35,12 +35,12 @@ class ModelChanges:
         self.unloaded = [name for action, name in self.newer() if action == "unload"]
 
     def record(self, action: Action, name: str) -> None:
-        """Tell all other workers of the change of a model that exists.
+        """Notify all other workers of a model change.
 
         Raises
         ------
         OSError
-            When the file system has no room: no worker is told.
+            If the file system is full; no worker is notified.
         """
         self._unfinished.write_text(action, encoding="utf-8")
         status = self._unfinished.stat()
@@ -48,7 +48,7 @@ class ModelChanges:
         self._seen[name] = status.st_ino, status.st_mtime_ns
 
     def newer(self) -> Iterator[tuple[Action, str]]:
-        """Yield the changes that other workers have recorded since they were last asked for."""
+        """Yield the changes that other workers have recorded since the last call."""
         for path in self._folder.iterdir():
             status = path.stat()
             version = status.st_ino, status.st_mtime_ns

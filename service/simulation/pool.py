@@ -51,7 +51,7 @@ ABANDONED_S = 0.5
 
 
 def is_installed() -> bool:
-    """Tell whether PyBullet, which the extra ``simulation`` brings, can be imported."""
+    """Return whether PyBullet (extra ``simulation``) can be imported."""
     return find_spec("pybullet") is not None
 
 
@@ -183,7 +183,7 @@ class RecycledProcess:
             future = self._handed_over(call, *args, **kwargs)
         except (OSError, RuntimeError) as error:
             self._discard()
-            raise BrokenProcessPool("No process can be started.") from error
+            raise BrokenProcessPool("No simulation process can be started.") from error
         ends: list[Future[Any]] = [future, abandoned]
         wait(ends, self._timeout_s, FIRST_COMPLETED)
         if abandoned.done():
@@ -193,7 +193,7 @@ class RecycledProcess:
             if abandoned.done():
                 raise CancelledError
             raise DeadlineExceededError(
-                f"The simulation had not ended after {self._timeout_s:g} s."
+                f"The simulation was not complete after {self._timeout_s:g} s."
             )
         return future.result()
 

@@ -25,16 +25,16 @@ from tests.bench.payloads import Kind, frames, payload
 CONNECTIONS = (1, 4, 16, 64)
 PYTHON = ROOT / ".venv/peers/bin/python"
 START_S = 120
-PREAMBLE = f"""## Beside other frameworks
+PREAMBLE = f"""## Comparison with other frameworks
 
-The same requests (JSON with four PNG files, {MODEL}, 40 steps), the same ONNX files, the same
-{CORES} cores and the same client. Each framework runs a single-threaded ONNX Runtime on every core
-and, where it has batching, batches of up to {MAX_BATCH} of what waits, without waiting for more
-(`tests/bench/peers`); nobody logs requests. It and Rollcast are asked in turn, for a few seconds
-each, the other one stopped meanwhile, so that a machine that drifts does so for both. Answers a
-second and p99 relative to those of Rollcast just before, medians of the rounds with the smallest
-and the largest: Rollcast is ahead where the first is under 1 and the second over 1. Answers that
-are not 200 are failures.
+All frameworks received the same requests (JSON with four PNG files, {MODEL}, 40 steps) from the
+same client, and ran the same ONNX files on the same {CORES} cores. Each framework ran a
+single-threaded ONNX Runtime on every core and, if it supports batching, batched up to {MAX_BATCH}
+waiting requests without waiting for more (`tests/bench/peers`). Request logs were off. The load
+alternated between the framework and Rollcast every few seconds, with the other one suspended, so
+that drift of the machine affects both. Throughput and p99 are relative to the preceding measurement
+of Rollcast: medians of the rounds, with the smallest and the largest value. Rollcast is ahead if
+the throughput is below 1 and the p99 above 1. Answers other than 200 count as failures.
 """
 
 
@@ -57,7 +57,7 @@ PEERS = (
 
 @dataclass(frozen=True)
 class Load:
-    """What a client heard of a framework and, just before, of Rollcast."""
+    """Answers of a framework and, just before, of Rollcast to the same load."""
 
     name: str
     connections: int
@@ -93,10 +93,10 @@ def measure(rounds: int, seconds: float) -> list[Load]:
 
 
 def rows(loads: list[Load]) -> list[str]:
-    """Markdown table: a line a framework and number of connections."""
+    """Markdown table: one line per framework and number of connections."""
     head = (
-        "framework", "connections", "answers", "rounds", "p99", "rounds", "ahead", "failures",
-        "ours",
+        "framework", "connections", "throughput", "rounds", "p99", "rounds", "ahead", "failures",
+        "failures of Rollcast",
     )  # fmt: skip
     lines = [markdown.header(head)]
     for name, connections in dict.fromkeys((load.name, load.connections) for load in loads):
@@ -106,8 +106,8 @@ def rows(loads: list[Load]) -> list[str]:
         ahead = np.median(rates) < 1 < np.median(p99s)
         failures = sum(load.theirs.failures for load in of_both)
         our_failures = sum(load.ours.failures for load in of_both)
-        said = "yes" if ahead else "**no**"
-        cells = (*_spread(rates), *_spread(p99s), said, failures, our_failures)
+        shown = "yes" if ahead else "**no**"
+        cells = (*_spread(rates), *_spread(p99s), shown, failures, our_failures)
         lines.append(markdown.row((name, connections, *cells)))
     return lines
 
@@ -119,7 +119,7 @@ def _spread(ratios: list[float]) -> tuple[str, str]:
 
 @contextmanager
 def _stopped(process: psutil.Process) -> Iterator[None]:
-    """Stop a server that is not asked: some need a processor even then."""
+    """Suspend a server that gets no requests, because some use a processor even then."""
     every = [process, *process.children(recursive=True)]
     for one in every:
         one.suspend()
@@ -177,7 +177,7 @@ def _first(address: str, kind: Kind) -> Any:
 
 
 def _positions(answer: Any) -> np.ndarray:
-    """Positions [T, 2] in whichever form they are answered."""
+    """Positions [T, 2] of an answer in any framework's format."""
     if isinstance(answer, list):
         answer = answer[0]
     if "objects" in answer:

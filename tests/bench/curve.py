@@ -25,9 +25,9 @@ GRAPHS: tuple[Graph, ...] = ("encoder", "step")
 BATCHES = (1, 2, 4, 8, 16)
 PREAMBLE = f"""## Batches
 
-Milliseconds that one forecast of a batch takes in ONNX Runtime, one thread a process: one process
-alone, and as many side by side as there are cores ({CORES}). The scheduler encodes the frames of a
-few requests together and steps rollouts together, as these figures tell it to.
+Milliseconds per forecast in a batch, in ONNX Runtime with one thread per process: for one process,
+and for as many processes in parallel as there are cores ({CORES}). The scheduler's batch sizes for
+encoding frames and for rollout steps are based on these figures.
 """
 
 
@@ -75,7 +75,7 @@ def draw(costs: list[Cost], path: Path) -> None:
     axes.set_xticks(BATCHES, [str(batch) for batch in BATCHES])
     axes.set_ylim(0)
     axes.set_xlabel("forecasts in a batch")
-    axes.set_ylabel("time a forecast, batch of one = 1")
+    axes.set_ylabel("time per forecast, batch of one = 1")
     axes.legend()
     figure.savefig(path, metadata={"Software": None})
 

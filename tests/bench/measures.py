@@ -19,6 +19,7 @@ from tests.bench.loop import CORES, MODEL
 from tests.bench.payloads import KINDS, Kind
 
 MIB = 2**20
+NO_TARGET = "none"
 
 
 def one_at_a_time(address: str, rounds: int, seconds: float) -> list[Finding]:
@@ -33,8 +34,8 @@ def one_at_a_time(address: str, rounds: int, seconds: float) -> list[Finding]:
     limits: dict[Kind, float] = {"binary": 2.5, "multipart": 3, "json": 3}
     return [
         Finding(
-            f"one at a time, {kind}: p50 beyond the bare loop's"
-            + ("" if kind == "binary" else ", which decodes too"),
+            f"1 connection, {kind}: p50 minus that of the bare loop"
+            + ("" if kind == "binary" else " with decoding"),
             "ms", tuple(found), f"at most {limits[kind]:g}", lambda x, most=limits[kind]: x <= most,
         )
         for kind, found in over.items()
@@ -54,17 +55,17 @@ def throughput(address: str, rounds: int, seconds: float) -> list[Finding]:
             own.append(answers.client_s / answers.wall_s)
     findings = [
         Finding(
-            f"16 connections, {kind}: answers relative to the bare loop on {CORES} cores", "",
+            f"16 connections, {kind}: throughput relative to the bare loop on {CORES} cores", "",
             tuple(found), f"at least {least:g}", lambda x, least=least: x >= least,
         )
         for (kind, found), least in zip(shares.items(), (0.85, 0.75), strict=True)
     ]  # fmt: skip
-    told = Finding("the client's own share of a core", "", tuple(own), "told", lambda _: True)
-    return [*findings, told]
+    client = Finding("CPU use of the client, in cores", "", tuple(own), NO_TARGET, lambda _: True)
+    return [*findings, client]
 
 
 def overload(rounds: int, seconds: float) -> list[Finding]:
-    """Twice as many requests as can be answered; what no core is free for is refused."""
+    """Twice as many requests as can be answered; requests without a free core are rejected."""
     with service(ROLLCAST_INFERENCE_QUEUE="0") as (address, _):
         slower: list[float] = []
         answered: list[float] = []
@@ -80,15 +81,15 @@ def overload(rounds: int, seconds: float) -> list[Finding]:
             after.append(again.quantile(0.5) / quiet.quantile(0.5))
     return [
         Finding(
-            "twice the capacity: p99 of accepted requests relative to the unloaded p99", "",
+            "load of twice the capacity: p99 of accepted requests relative to the unloaded p99", "",
             tuple(slower), "at most 3", lambda x: x <= 3,
         ),
         Finding(
-            "answers a second meanwhile relative to the capacity", "",
-            tuple(answered), "told", lambda _: True,
+            "throughput under this load relative to the capacity", "",
+            tuple(answered), NO_TARGET, lambda _: True,
         ),
         Finding(
-            "afterwards: p50 relative to before", "", tuple(after), "about 1", lambda x: x < 1.1
+            "p50 after this load relative to before", "", tuple(after), "about 1", lambda x: x < 1.1
         ),
     ]  # fmt: skip
 
@@ -116,11 +117,11 @@ def memory(address: str, process: psutil.Process, requests: int) -> list[Finding
         resident.append(max(one.memory_info().rss for one in answering(process)) / MIB)
     return [
         Finding(
-            "resident memory of the larger of the processes that answer, all models loaded", "MiB",
+            "resident memory of the largest serving process, all models loaded", "MiB",
             tuple(resident), "under 400", lambda x: x < 400,
         ),
         Finding(
-            f"its largest over {requests} mixed requests relative to that after the first {part}",
+            f"peak memory over {requests} mixed requests relative to that after the first {part}",
             "", (max(resident) / resident[0],), "at most 1.05", lambda x: x <= 1.05,
         ),
     ]  # fmt: skip
@@ -140,8 +141,10 @@ def reload(address: str, seconds: float) -> list[Finding]:
     slower = busy.quantile(0.99) / quiet.quantile(0.99)
     return [
         Finding(
-            f"{loads} loads of the model at 4 connections: requests that failed", "",
+            f"{loads} reloads of the model at 4 connections: failed requests", "",
             (float(busy.failures),), "0", lambda x: x == 0,
         ),
-        Finding("p99 meanwhile relative to before", "", (slower,), "told", lambda _: True),
+        Finding(
+            "p99 during the reloads relative to before", "", (slower,), NO_TARGET, lambda _: True
+        ),
     ]  # fmt: skip

@@ -18,9 +18,10 @@ PICTURE = ROOT / "docs" / "results" / "batches.png"
 PREAMBLE = f"""<!-- Made by `make bench`; do not edit. -->
 # Benchmarks
 
-The service with {MODEL} at a horizon of 40 steps beside the bare loop (`tests/bench/bare.py`): the
-same ONNX files in ONNX Runtime, one thread, nothing around them. One run on the same {CORES} cores,
-one after the other; "rounds" are the smallest and the largest of the rounds' figures.
+The service with {MODEL} at a horizon of 40 steps, compared with the bare loop
+(`tests/bench/bare.py`): the same ONNX files in ONNX Runtime with one thread, without HTTP. Both ran
+on the same {CORES} cores, one after the other, in one run. The column "rounds" gives the smallest
+and the largest value of all rounds.
 """
 
 
@@ -28,7 +29,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=5)
-    parser.add_argument("--requests", type=int, default=20_000, help="while memory is watched")
+    parser.add_argument("--requests", type=int, default=20_000, help="of the memory test")
     given = parser.parse_args()
     findings = [measures.cold_start(given.rounds)]
     with service() as (address, process):
@@ -37,7 +38,7 @@ def main() -> None:
         findings += measures.reload(address, 4 * given.seconds)
         findings += measures.memory(address, process, given.requests)
     findings += measures.overload(1, 60)
-    table = [markdown.header(("what", "median", "rounds", "promised", "kept"))]
+    table = [markdown.header(("measurement", "median", "rounds", "target", "met"))]
     table += [finding.row() for finding in findings]
     costs = curve.measure(given.seconds)
     curve.draw(costs, PICTURE)
@@ -53,7 +54,7 @@ def main() -> None:
         *curve.rows(costs),
         "",
     ]
-    parts += [f"![What a forecast costs in a batch]({PICTURE.relative_to(PAGE.parent)})", ""]
+    parts += [f"![Time per forecast by batch size]({PICTURE.relative_to(PAGE.parent)})", ""]
     print("\n".join(parts))
     PAGE.write_text("\n".join(parts), encoding="utf-8")
 

@@ -33,7 +33,7 @@ def test_a_wrong_value(page: Page, case: str):
     page.fill("#seed", typed)
     page.press("#seed", "Enter")
     message = page.locator("#messages")
-    expect(message.locator("h2")).to_have_text("A value is not acceptable (422)")
+    expect(message.locator("h2")).to_have_text("A value is invalid (422)")
     cells = message.locator("td")
     expect(cells.nth(0)).to_have_text("seed")
     expect(cells.nth(1)).to_have_text(value)

@@ -52,13 +52,13 @@ def suffer(running: Nodes, load: Load, models: Path, calls: int) -> Faults:
 
     with load:
         load.wait_for(calls // 4)  # caches are cold
-        suffered("nothing", lambda: None)
+        suffered("none, before the faults", lambda: None)
         suffered("kill -9 of a replica", running.replace_replica)
-        suffered("kill -9 of a node, another one added later", node_replaced)
+        suffered("kill -9 of a node, replaced later", node_replaced)
         suffered(
             f"{MODEL}@{NEW_VERSION} rolled out", lambda: running.deploy(models_dir=str(models))
         )
-        suffered("nothing any more", lambda: None)
+        suffered("none, after the faults", lambda: None)
     return Faults(phases, load.accepted, load.retried, load.failures, load.answered_by)
 
 

@@ -143,13 +143,13 @@ def replica_start_s(running: Nodes) -> float:
 
 PREAMBLE = [
     "<!-- Made by `make scaling`; do not edit. -->",
-    "# Past one machine",
+    "# Several machines",
     "",
-    f"The service on Ray Serve (decision 0115), {REPLICAS} replicas of one logical core each on up "
-    f"to {max(NODES)} nodes of Ray,",
-    f"all on the same {CORES} cores of one machine: what is shown is what distribution costs and "
-    "what faults do, not speed",
-    f"by more machines. Forecasts of {MODEL} over {HORIZON} steps.",
+    f"The service on Ray Serve (decision 0115), with {REPLICAS} replicas of one logical core each "
+    f"on up to {max(NODES)} Ray nodes.",
+    f"All nodes share the {CORES} cores of one machine, so the figures show the overhead of "
+    "distribution and the effect of",
+    f"failures, not the speed-up by more machines. Forecasts of {MODEL} over {HORIZON} steps.",
     "",
 ]
 
@@ -159,17 +159,17 @@ def fault_lines(faults: Faults) -> list[str]:
     lines = [
         "## Faults under load",
         "",
-        f"{CLIENTS} clients (`rollcast.client`) ask without a pause, times include what is asked "
-        "again. "
+        f"{CLIENTS} clients (`rollcast.client`) send requests without a pause. Latencies include "
+        "retries. "
         f"{faults.accepted} requests were accepted, {len(faults.failures)} lost, "
-        f"{faults.retried} asked more than once,",
-        f"{sum(len(names) > 1 for names in faults.answered_by.values())} answered twice; every "
-        "answer is the checkout's within "
+        f"{faults.retried} retried and",
+        f"{sum(len(names) > 1 for names in faults.answered_by.values())} answered twice. The "
+        "largest difference from a local forecast was "
         f"{max(phase.largest_difference_px for phase in faults.phases):.1g} px.",
         "",
         markdown.header(
             (
-                "meanwhile",
+                "fault",
                 "answers",
                 "p50, ms",
                 "p99, ms",
@@ -188,18 +188,23 @@ def fault_lines(faults: Faults) -> list[str]:
 def spread_lines(spreads: list[Spread], rounds: int) -> list[str]:
     """What distribution costs."""
     lines = [
-        "## What distribution costs",
+        "## Overhead of distribution",
         "",
-        f"Answers a second at {CONNECTIONS} connections, and the median of one request at a time, "
-        "relative to the service alone,",
-        f"which was asked in turn; medians of {rounds} rounds.",
+        f"Throughput at {CONNECTIONS} connections and median latency at one connection, relative "
+        "to a single service, with",
+        f"alternating load on both; medians of {rounds} rounds.",
         "",
-        markdown.header(("nodes", "binary tensors", "JSON with PNG files", "one at a time")),
+        markdown.header(("nodes", "binary tensors", "JSON with PNG files", "latency")),
     ]
     for one in spreads:
         rates = [f"{one.rates[kind]:.2f}" for kind in KINDS]
         lines.append(markdown.row((one.nodes, *rates, f"{one.single:.2f}")))
-    return [*lines, "", f"{sum(one.failures for one in spreads)} answers were not 200.", ""]
+    return [
+        *lines,
+        "",
+        f"{sum(one.failures for one in spreads)} answers had another status than 200.",
+        "",
+    ]
 
 
 def plan_lines(costs: dict[Kind, Cost], spread: Spread, start_s: float) -> list[str]:
@@ -207,11 +212,11 @@ def plan_lines(costs: dict[Kind, Cost], spread: Spread, start_s: float) -> list[
     images = frames()
     sizes = {kind: len(payload(kind, images).body) for kind in KINDS}
     lines = [
-        f"## {plan.RATE:,} forecasts a second, on paper",
+        f"## {plan.RATE:,} forecasts per second, calculated",
         "",
-        "What a forecast takes of a full service, and what a million a second would. The "
-        "milliseconds of a stage are those",
-        "that a request waits for, often together with others.",
+        "Resources per forecast of a fully loaded service, and the resources for this rate. The "
+        "milliseconds of a stage are the",
+        "time that a request spends in it, often in a batch with others.",
         "",
         markdown.header(
             (
@@ -221,7 +226,7 @@ def plan_lines(costs: dict[Kind, Cost], spread: Spread, start_s: float) -> list[
                 "encode",
                 "rollout",
                 "request, bytes",
-                "cores, all busy",
+                "cores at full use",
                 "network in, Gbit/s",
             )
         ),
@@ -240,28 +245,29 @@ def plan_lines(costs: dict[Kind, Cost], spread: Spread, start_s: float) -> list[
     plan.draw(fleets, PICTURE)
     lines += [
         "",
-        "Where the next bottleneck stands: PNG files in JSON take "
-        f"{decode_ms:.1f} ms to decode ({decode_ms / encoded.core_ms:.0%} of a forecast's time), "
-        f"raw tensors {sizes['binary'] / sizes['json']:.0f} times the network;",
-        f"Ray's proxies and routers take {1 - kept:.0%} of the cores (above, {spread.nodes} "
-        "nodes). So first the proxies: replicas behind a plain load balancer",
-        "(`docker/kubernetes/rollcast.yaml`) do without them. What is left is the networks' own "
-        "arithmetic.",
+        "The next bottlenecks: decoding PNG files in JSON takes "
+        f"{decode_ms:.1f} ms ({decode_ms / encoded.core_ms:.0%} of a forecast's time), "
+        f"raw tensors need {sizes['binary'] / sizes['json']:.0f} times the network bandwidth,",
+        f"and Ray's proxies and routers use {1 - kept:.0%} of the cores (above, {spread.nodes} "
+        "nodes). Replicas behind a plain load balancer",
+        "(`docker/kubernetes/rollcast.yaml`) need no such proxies. The remaining time is the "
+        "networks' own computation.",
         "",
-        f"With Ray, then, a core answers {per_core:.0f} a second. A replica is there "
-        f"{start_s:.0f} s after it was asked for, as measured here; a machine for it",
-        f"is assumed to take {plan.NODE_START_S} s, and a core to cost ${plan.CORE_HOUR_USD} an "
-        f"hour. Half as many requests again come for {plan.BURST_S[1] - plan.BURST_S[0]} s; Ray "
-        "Serve's autoscaling waits",
-        f"{plan.UPSCALE_DELAY_S} s and sees the last {plan.LOOK_BACK_S}; what would wait for more "
-        f"than {plan.WAITING_S:g} s is refused.",
+        f"With Ray, a core answers {per_core:.0f} requests per second. A replica starts within "
+        f"{start_s:.0f} s, as measured here. The calculation",
+        f"assumes {plan.NODE_START_S} s for the start of a machine, ${plan.CORE_HOUR_USD} per core "
+        f"and hour, and a burst of {plan.BURST:g} times the usual requests for "
+        f"{plan.BURST_S[1] - plan.BURST_S[0]} s.",
+        f"Ray Serve's autoscaling waits {plan.UPSCALE_DELAY_S} s and averages the last "
+        f"{plan.LOOK_BACK_S} s. Requests that would wait for more than {plan.WAITING_S:g} s are "
+        "rejected.",
         "",
         markdown.header(
             (
-                "cores' time that is used",
+                "utilisation",
                 "cores",
-                "$ an hour",
-                "refused of all",
+                "$ per hour",
+                "rejected",
                 "longest wait, s",
             )
         ),
@@ -276,7 +282,7 @@ def plan_lines(costs: dict[Kind, Cost], spread: Spread, start_s: float) -> list[
     return [
         *lines,
         "",
-        f"![The crowd, the replicas and the wait]({PICTURE.relative_to(PAGE.parent)})",
+        f"![Load, replicas and waiting time]({PICTURE.relative_to(PAGE.parent)})",
         "",
     ]
 

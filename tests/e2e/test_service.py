@@ -101,5 +101,5 @@ def test_a_port_in_use_gives_one_clear_line(address):
     assert second.stdout == ""
     assert second.stderr == (
         f"rollcast: cannot listen on 127.0.0.1:{port}: Address already in use; "
-        "--port takes another one\n"
+        "choose another port with --port\n"
     )

@@ -9,7 +9,7 @@ from rollcast.client import AsyncClient, AsyncForecastStream
 
 PROBLEM = {
     "type": "/problems/invalid-value",
-    "title": "A value is not acceptable",
+    "title": "A value is invalid",
     "status": 422,
     "detail": "horizon: expected more",
     "field": "horizon",

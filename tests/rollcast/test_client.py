@@ -167,7 +167,7 @@ def test_a_problem_document_is_raised(client, status, kind):
     with pytest.raises(kind) as caught:
         client(service).predict([FRAME] * 4)
     assert caught.value.problem.field == "horizon"
-    assert str(caught.value) == f"A value is not acceptable ({status}): horizon: expected more"
+    assert str(caught.value) == f"A value is invalid ({status}): horizon: expected more"
     assert isinstance(caught.value, ClientError)
 
 

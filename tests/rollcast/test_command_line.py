@@ -198,7 +198,7 @@ DRAWN = "is not a .png, .jpg, .jpeg, .webp, .mp4, .webm, .gif file"
         (["clip.mp4", "--start", "soon"], "soon is not a number of seconds"),
         (["clip.mp4", "--start", "nan"], "nan is not a number of seconds"),
         (["clip.mp4", "--every", "0"], "0 is not a whole number from 1 to 1000"),
-        (["clip.mp4", "--rate", "0"], "0 is not a number of frames a second"),
+        (["clip.mp4", "--rate", "0"], "0 is not a frame rate in Hz"),
         (["clip.mp4", "--horizon", "0"], "0 is not a whole number from 1 to 1000"),
         (["clip.mp4", "--horizon", "1.5"], "1.5 is not a whole number from 1 to 1000"),
         (["clip.mp4", "--objects", "5"], "5 is not a whole number from 1 to 4"),
@@ -216,7 +216,7 @@ def test_wrong_arguments_are_told_in_a_line_before_anything_is_read(run, argumen
     assert (code, printed, errors.count("\n")) == (2, "", 1)
     assert errors.startswith("rollcast: ")
     assert message in errors
-    assert errors.endswith("(rollcast predict --help tells more)\n")
+    assert errors.endswith("(rollcast predict --help has more)\n")
 
 
 def test_a_service_that_does_not_run_is_one_line(video, capsys):

@@ -134,7 +134,7 @@ def test_a_scene_becomes_a_film(run, tmp_path):
     with Image.open(out) as film:
         assert (film.n_frames, film.size) == (6, (128, 128))
     code, _, errors = run("simulate", "hemisphere", "--size", 65, "--out", tmp_path / "scene.mp4")
-    assert (code, errors) == (1, "rollcast: --size is 65; a film's is even\n")
+    assert (code, errors) == (1, "rollcast: --size is 65; a video needs an even size\n")
 
 
 class Listing(FakeService):
@@ -277,21 +277,20 @@ def test_the_help_of_the_whole(run, monkeypatch, arguments):
     assert printed == snapshot("""\
 Usage: rollcast [OPTIONS] COMMAND [ARGS]...
 
-  Forecasts where rolling balls go.
+  Forecast where rolling balls go. All commands except serve and track call a running service
+  (rollcast serve, or make serve).
 
-  All commands but serve and track ask a running service (rollcast serve, or make serve).
-
-  A first try:
+  Example:
     rollcast serve &
     rollcast doctor
     rollcast simulate ellipsoid --seed 7 --out scene
     rollcast predict scene --out overlay.png
 
-  Exit codes: 0 done, 1 it failed (one line on stderr says why), 2 the arguments are wrong.
-  `rollcast --install-completion` completes commands and options in your shell.
+  Exit codes: 0 success, 1 failure (with one line on stderr), 2 invalid arguments. `rollcast
+  --install-completion` completes commands and options in your shell.
 
 Options:
-  --api-key KEY         API key, for a service that asks for one; better in the environment, as
+  --api-key KEY         API key, for a service that requires one; prefer the environment variable
                         ROLLCAST_API_KEY
   --install-completion  Install completion for the current shell.
   --show-completion     Show completion for the current shell, to copy it or customize the
@@ -300,10 +299,10 @@ Options:
 
 Commands:
   serve     Serve the models of this checkout until stopped.
-  predict   Forecast the ball of a video or of images.
+  predict   Forecast balls in a video or in images.
   simulate  Simulate a scene: its frames and the true path.
-  track     Track the balls of clips that a camera took from above.
-  models    List the models of a service, refused ones with the reason.
+  track     Track balls in clips from an overhead camera.
+  models    List the models of a service, with the reason for rejected ones.
   doctor    Check Python, packages and the service, up to a forecast of a simulated ball.
 """)
 
@@ -314,9 +313,9 @@ def test_the_help_of_every_command(run, monkeypatch):
     assert texts["predict"] == snapshot("""\
 Usage: rollcast predict [OPTIONS] {VIDEO|FOLDER|IMAGES}...
 
-  Forecast the ball of a video or of images.
+  Forecast balls in a video or in images.
 
-  Reads four frames, asks a running service where the ball goes, prints the path and, with --out,
+  Reads four frames, requests a forecast from a running service, prints the path and, with --out,
   draws it over the footage.
 
   Examples:
@@ -327,34 +326,34 @@ Usage: rollcast predict [OPTIONS] {VIDEO|FOLDER|IMAGES}...
 
 Arguments:
   VIDEO|FOLDER|IMAGES <list[Path]>
-                                  a video, of which four frames are read, 40 a second or as the
-                                  model knows them (blended where the camera took none); or a
+                                  a video, from which four frames are read, at 40 per second or at
+                                  the model's rate (interpolated where the camera has none); or a
                                   folder of images, or at least four images  [required]
 
 Options:
   --start SECONDS                 time of the first of the four frames in the video (default: 0)
-  --every N                       take every N-th frame as it is, none is blended (default: 40 a
-                                  second)
-  --rate HZ                       frames a second that the camera took: of images (default: 40),
-                                  of an elementary stream, which does not tell, and of slow
-                                  motion, which is stored slower
-  --crop X,Y,SIZE                 the square that is looked at: left column, upper row, side, in
-                                  pixels (default: the largest in the middle); models know frames
-                                  that the bowl or plane just fills
-  --final STEP                    show the frame of this step too, for a forecast in between: 39
-                                  with one ball, 29 with two or three
-  --horizon STEPS                 steps to forecast, as far apart as the frames (default: 40; with
-                                  --final up to that frame)
+  --every N                       use every N-th frame without interpolation (default: 40 frames
+                                  per second)
+  --rate HZ                       frame rate of the camera in Hz, for images (default: 40),
+                                  elementary streams, which do not state it, and slow motion,
+                                  which is stored at a lower rate
+  --crop X,Y,SIZE                 square crop given to the model: left column, top row, side, in
+                                  pixels (default: the largest in the centre); the bowl or plane
+                                  should just fill it
+  --final STEP                    give the model the frame of this step too, to interpolate the
+                                  path: 39 with one ball, 29 with two or three
+  --horizon STEPS                 number of steps to forecast, at the frame rate (default:
+                                  {DEFAULT_HORIZON}; with --final up to that frame)
   --model NAME                    auto, NAME or NAME@VERSION  [default: auto]
-  --objects BALLS                 how many balls there are (default: the model's, with auto 1)
+  --objects BALLS                 number of balls (default: the model's, 1 with auto)
   --scenario <hemisphere|ellipsoid|heightfield|table|footage>
-                                  let auto choose among models made for it
+                                  restrict auto to models for this scenario
   --url ADDRESS                   address of the service (default: ROLLCAST_URL, else
                                   http://127.0.0.1:8000)
-  --format <table|json|csv>       how to print it  [default: table]
-  --out FILE                      draw over the footage: a picture (.png, .jpg, .webp), or frame
-                                  by frame (.mp4, .webm, .gif)
-  --slower N                      show a film N times slower than it was  [default: 1]
+  --format <table|json|csv>       output format  [default: table]
+  --out FILE                      draw the forecast over the footage: a picture (.png, .jpg,
+                                  .webp) or a video (.mp4, .webm, .gif)
+  --slower N                      play the video N times slower than real time  [default: 1]
   -h, --help                      Show this message and exit.
 """)
     assert texts["simulate"] == snapshot("""\
@@ -362,7 +361,7 @@ Usage: rollcast simulate [OPTIONS] {SCENARIO}
 
   Simulate a scene: its frames and the true path.
 
-  Without --out the path is printed. The same seed gives the same frames.
+  Without --out the path is printed. The same seed always produces the same frames.
 
   Examples:
     rollcast simulate ellipsoid --seed 7
@@ -371,28 +370,28 @@ Usage: rollcast simulate [OPTIONS] {SCENARIO}
 
 Arguments:
   SCENARIO <hemisphere|ellipsoid|heightfield|table>
-                                  what the balls roll in  [required]
+                                  kind of scene  [required]
 
 Options:
-  --seed SEED                names the scene  [default: 0]
-  --objects BALLS            how many balls there are  [default: 1]
-  --steps STEPS              frames, 40 a second  [default: 44]
-  --size PIXELS              side of the frames  [default: 128]
+  --seed SEED                seed of the scene  [default: 0]
+  --objects BALLS            number of balls  [default: 1]
+  --steps STEPS              number of frames, 40 per second  [default: 44]
+  --size PIXELS              frame width and height  [default: 128]
   --url ADDRESS              address of the service (default: ROLLCAST_URL, else
                              http://127.0.0.1:8000)
-  --format <table|json|csv>  how to print it  [default: table]
-  --out FOLDER|FILE          an empty or new folder for the frames, the truth and the scene; or a
-                             film of the frames (.mp4, .webm, .gif)
-  --slower N                 show a film N times slower than it was  [default: 1]
+  --format <table|json|csv>  output format  [default: table]
+  --out FOLDER|FILE          an empty or new folder for the frames, the true path and the scene;
+                             or a video of the frames (.mp4, .webm, .gif)
+  --slower N                 play the video N times slower than real time  [default: 1]
   -h, --help                 Show this message and exit.
 """)
     assert texts["models"] == snapshot("""\
 Usage: rollcast models [OPTIONS]
 
-  List the models of a service, refused ones with the reason.
+  List the models of a service, with the reason for rejected ones.
 
-  A bare NAME means the version that is marked with *. The error is that on validation data, in
-  pixels of 128 x 128 frames; HORIZON is how many steps the model was trained on.
+  NAME without a version selects the version marked with *. The error is measured on validation
+  data, in pixels of 128 x 128 frames; HORIZON is the number of steps in the model's training.
 
   Examples:
     rollcast models
@@ -401,7 +400,7 @@ Usage: rollcast models [OPTIONS]
 Options:
   --url ADDRESS          address of the service (default: ROLLCAST_URL, else
                          http://127.0.0.1:8000)
-  --format <table|json>  how to print it  [default: table]
+  --format <table|json>  output format  [default: table]
   -h, --help             Show this message and exit.
 """)
     assert texts["doctor"] == snapshot("""\
@@ -409,8 +408,8 @@ Usage: rollcast doctor [OPTIONS]
 
   Check Python, packages and the service, up to a forecast of a simulated ball.
 
-  Every line begins with ok, note (works, but not all of it) or FAIL. The exit code is 1 if
-  anything fails.
+  Every line begins with ok, note (works with limitations) or FAIL. The exit code is 1 if anything
+  fails.
 
   Examples:
     rollcast doctor
@@ -419,7 +418,7 @@ Usage: rollcast doctor [OPTIONS]
 Options:
   --url ADDRESS          address of the service (default: ROLLCAST_URL, else
                          http://127.0.0.1:8000)
-  --format <table|json>  how to print it  [default: table]
+  --format <table|json>  output format  [default: table]
   -h, --help             Show this message and exit.
 """)
     assert texts["serve"] == snapshot("""\
@@ -427,8 +426,8 @@ Usage: rollcast serve [OPTIONS]
 
   Serve the models of this checkout until stopped.
 
-  The package alone has neither the service nor models: outside a checkout the command of the
-  container is printed, and the exit code is 1. `python -m service --help` describes every
+  The package does not include the service and the models: outside a checkout, the command prints
+  how to start the container, and the exit code is 1. `python -m service --help` describes every
   setting.
 
   Examples:

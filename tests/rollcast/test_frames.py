@@ -134,7 +134,7 @@ def test_a_jpeg_without_its_end_is_read_where_all_pixels_are_there(progressive):
         (RGB.astype(int), TypeError, r"\.astype\(numpy\.uint8\)"),
         (RGB.astype(np.float32), FrameError, "from 0 to 255, expected 0 to 1: divide"),
         (np.full((SIDE, SIDE), np.nan), FrameError, "expected 0 to 1"),
-        (RGB[None], FrameError, "of several frames each is an item of a list"),
+        (RGB[None], FrameError, "pass several frames as a list"),
         (RGB[..., :2], FrameError, "1, 3 or 4"),
         (np.empty((0, SIDE, 3), np.uint8), FrameError, "no pixels"),
         ([[1, 2], [3, 4]], TypeError, r"numpy\.asarray makes an array"),

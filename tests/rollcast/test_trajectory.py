@@ -34,5 +34,5 @@ def test_the_whole_is_a_window():
 
 @pytest.mark.parametrize(("start", "frames"), [(-1, 3), (0, 10), (9, 1), (7, 3)])
 def test_a_window_beyond_the_ends_is_refused(start, frames):
-    with pytest.raises(IndexError, match=r"asked of a trajectory with 9"):
+    with pytest.raises(IndexError, match=r"requested from a trajectory with 9"):
         numbered(9).window(start, frames)

@@ -7,10 +7,10 @@ from training.cli import balls, data, footage, models, studies, train
 HELP = """\
 Simulates scenes, trains networks and exports them for the service.
 
-Data sets and checkpoints go to the folder that ROLLCAST_RUNS names (default: runs).
+Data sets and checkpoints are stored in the folder ROLLCAST_RUNS (default: runs).
 
 \b
-A first try, a few minutes on one core:
+A first experiment, a few minutes on one core:
   python -m training train tiny
   python -m training export tiny --scenes 100 --ood-scenes 0
   make serve

@@ -32,8 +32,8 @@ def simulate(
         str | None,
         typer.Option(
             metavar="FOLDER",
-            help="path or address that fsspec knows, such as s3://bucket/folder (default: where "
-            "training looks for it in ROLLCAST_RUNS)",
+            help="path or address supported by fsspec, such as s3://bucket/folder (default: the "
+            "folder in ROLLCAST_RUNS from which training reads)",
         ),
     ] = None,
 ) -> None:

@@ -51,7 +51,7 @@ def setup(
 
 
 def real(
-    clips: Annotated[Path, typer.Argument(metavar="FOLDER", help="the clips that it names")],
+    clips: Annotated[Path, typer.Argument(metavar="FOLDER", help="the clips that it lists")],
     baselines: Baselines = None,
 ) -> None:
     """Track, train and measure docs/results/real.md, where its clips are."""
@@ -71,7 +71,7 @@ def _measured(
 ) -> Iterator[str]:
     recipe = recipe_of(name)
     if not data.is_dir():
-        yield f"skipped: there are no clips at {data}"
+        yield f"skipped: no clips at {data}"
         return
     clips = clips_of(name, data, balls)
     assert clips is not None
@@ -112,7 +112,7 @@ def setup_clips(
     if folder is None:
         if recipe.scenarios:
             return None
-        raise FootageError(f"{recipe.name} is trained on clips; name their folder with --data")
+        raise FootageError(f"{recipe.name} is trained on clips; pass their folder with --data")
     if recipe.scenarios:
         raise FootageError(
             f"{recipe.name} is trained on simulated scenes; --data is for the recipes setup-..."
@@ -123,7 +123,7 @@ def setup_clips(
     chosen = balls or ([0] if objects == 1 else list(range(there)))
     if len(chosen) != objects or not set(chosen) <= set(range(there)):
         raise FootageError(
-            f"{recipe.name} forecasts {objects} of the clips' balls 0 to {there - 1}, "
-            f"--balls names {', '.join(map(str, chosen))}"
+            f"{recipe.name} forecasts {objects} of the clips' balls 0 to {there - 1}, --balls "
+            f"selects {', '.join(map(str, chosen))}"
         )
     return {split: Clips(clips, chosen) for split, clips in splits.items() if clips}

@@ -70,7 +70,7 @@ def evaluate(
 ) -> None:
     """Measure exported models on fixed scenes."""
     if (model is None) != every:
-        failed("name one model (models/NAME/VERSION), or --all")
+        failed("pass one model (models/NAME/VERSION), or --all")
     if model is None:
         if split != "test":
             failed(f"--all measures the test split, not --split {split}")
@@ -92,7 +92,7 @@ def error_breakdown(
     """Take the validation error of a fieldnet apart: parts of its state from the truth."""
     manifest, network = load_exported(model)
     if not isinstance(network, FieldNet):
-        failed(f"{manifest.label} is a {manifest.variant}; only a fieldnet's state has parts")
+        failed(f"{manifest.label} is a {manifest.variant}; only the state of a fieldnet has parts")
     errors = {
         scenario: dissected(network, Source(scenario, manifest.objects), scenes, workers)
         for scenario in manifest.simulated
@@ -103,12 +103,12 @@ def error_breakdown(
 def export(
     recipe: RecipeName,
     version: Version = 1,
-    models: Annotated[Path, typer.Option(help="folder that the models go to")] = MODELS,
+    models: Annotated[Path, typer.Option(help="output folder for the models")] = MODELS,
     scenes: TestScenes = 500,
     data: Data = None,
     balls: Balls = None,
     name: Annotated[
-        str | None, typer.Option(help="of a model for clips (default: the recipe's)")
+        str | None, typer.Option(help="name of a model for clips (default: the recipe's)")
     ] = None,
     ood_scenes: Annotated[
         int,
@@ -128,7 +128,7 @@ def export(
     except FileNotFoundError as error:
         failed(
             f"no trained weights at {error.filename}: run `python -m training train {recipe}` "
-            "first, or name the folder of its runs with ROLLCAST_RUNS"
+            "first, or set ROLLCAST_RUNS to the folder of its runs"
         )
     complete(manifests, models, workers, ood_scenes)
 
@@ -171,7 +171,9 @@ def fit_ood(
         list[Path] | None,
         typer.Argument(help="models/NAME/VERSION (default: all committed ones)"),
     ] = None,
-    scenes: Annotated[int, typer.Option(min=1, help="scenes to fit to, a kind")] = FAMILIAR_SCENES,
+    scenes: Annotated[
+        int, typer.Option(min=1, help="scenes per scenario for the fit")
+    ] = FAMILIAR_SCENES,
     workers: Workers = CORES,
 ) -> None:
     """Write into exported models how to tell frames that look unlike the training's."""

@@ -59,8 +59,8 @@ def ray_option(what: str) -> typer.models.OptionInfo:
     """Return the option --ray of a command."""
     return typer.Option(
         metavar="ADDRESS",
-        help=f'{what}: address of a Ray cluster, "auto" for the one that runs on this machine or '
-        '"local" for one that ends with the work (needs the extra ray-training)',
+        help=f'{what}: address of a Ray cluster, "auto" for a cluster on this machine or "local" '
+        "for a temporary one (needs the extra ray-training)",
     )
 
 
@@ -71,7 +71,7 @@ def with_ray() -> ModuleType:
     except ModuleNotFoundError as error:
         failed(
             f"--ray needs the extra ray-training ({error}); `tools/environment.sh test` makes "
-            ".venv/test, which has it"
+            ".venv/test, which includes it"
         )
 
 

@@ -29,19 +29,19 @@ def study(
     ],
     rows: Annotated[
         list[str] | None,
-        typer.Option(metavar="METHOD", help="this row alone; repeat it for several"),
+        typer.Option(metavar="METHOD", help="only this row; repeat it for several"),
     ] = None,
     scenes: Annotated[int, typer.Option(min=1, help="test scenes of every case")] = 500,
     sequences: Annotated[
         int | None,
         typer.Option(
             min=1,
-            help="training sequences of each kind of scene for every row that learns (default: "
+            help="training sequences of each scenario for every trained row (default: "
             f"{BUDGET:,}, from true states {STATE_BUDGET:,})",
         ),
     ] = None,
     seeds: Annotated[
-        int, typer.Option(min=1, help="trainings of every row that learns; their spread is shown")
+        int, typer.Option(min=1, help="number of trainings per row; the tables show their spread")
     ] = 1,
     workers: Workers = CORES,
 ) -> None:

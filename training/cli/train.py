@@ -39,7 +39,7 @@ from training.recipes.recipe import Recipe
 from training.reporting.plots import draw_training
 
 INTERRUPTED = 130
-HELP = "Train a recipe; goes on where it was stopped.\n\n\b\nRecipes:\n" + "\n".join(
+HELP = "Train a recipe, resuming from its last checkpoint.\n\n\b\nRecipes:\n" + "\n".join(
     f"  {name:30} {summary(name)}" for name in RECIPES
 )
 
@@ -57,8 +57,8 @@ def train(
         list[Path] | None,
         typer.Option(
             metavar="MODEL",
-            help="exported model (models/NAME/VERSION) or a run's folder to start from; repeat it "
-            "for several, of which the first one's encoder wins",
+            help="exported model (models/NAME/VERSION) or run folder to start from; with "
+            "several, the encoder of the first one is used",
         ),
     ] = None,
     data: Data = None,
@@ -75,16 +75,16 @@ def train(
     ] = None,
     scenes: Annotated[
         int | None,
-        typer.Option(min=1, help="training scenes of each kind instead of the recipe's"),
+        typer.Option(min=1, help="training scenes per scenario instead of the recipe's"),
     ] = None,
     validate_every: Annotated[
         int, typer.Option(min=1, metavar="BATCHES")
     ] = TrainerConfig.validate_every,
     workers: Workers = CORES,
     ray: Annotated[
-        str | None, ray_option("train in several processes that share every batch")
+        str | None, ray_option("train in several processes, each with a part of every batch")
     ] = None,
-    processes: Annotated[int, typer.Option(min=1, help="how many (with --ray)")] = 2,
+    processes: Annotated[int, typer.Option(min=1, help="number of processes (with --ray)")] = 2,
 ) -> None:
     """Train a recipe. See HELP."""
     folder = runs_folder() / recipe
@@ -145,9 +145,7 @@ def auto_train(
     sequences: Annotated[int, typer.Option(min=1, help="training sequences of a round")] = 200_000,
     scenes: TestScenes = 500,
     workers: Workers = CORES,
-    ray: Annotated[
-        str | None, ray_option("train rounds that do not need each other side by side")
-    ] = None,
+    ray: Annotated[str | None, ray_option("train independent rounds in parallel")] = None,
 ) -> None:
     """Train every family in rounds and export what got better, until nothing gains."""
     folder = runs_folder() / "campaign"
@@ -170,7 +168,7 @@ def auto_train(
             raise typer.Exit(INTERRUPTED) from None
         for chosen, outcome in zip(rounds, outcomes, strict=True):
             _finish(chosen, outcome, scenes, workers)
-    typer.echo("no family gains enough any more")
+    typer.echo("no family improves enough any more")
 
 
 def _finish(chosen: campaign.Round, outcome: campaign.Outcome, scenes: int, workers: int) -> None:

@@ -30,7 +30,9 @@ class Share:
             When the shares would not be equal: the mean of their means would not be the batch's.
         """
         if rows % self.every:
-            raise ValueError(f"{rows} windows of a batch cannot be shared by {self.every}")
+            raise ValueError(
+                f"{rows} windows of a batch cannot be divided among {self.every} processes"
+            )
         return range(self.first, rows, self.every)
 
 

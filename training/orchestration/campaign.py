@@ -97,7 +97,7 @@ def lines() -> tuple[Line, ...]:
 
 
 def next_rounds(known: Sequence[Line], folder: Path, models: Path, sequences: int) -> list[Round]:
-    """Choose what to train next; nothing when no family gains enough any more.
+    """Choose what to train next; nothing when no family improves enough any more.
 
     The most urgent round comes first. None begins with what another one makes, so that they can be
     trained side by side.

@@ -80,13 +80,14 @@ def picture_name(scenario: Scenario, objects: int) -> str:
 PREAMBLE = """<!-- Made by `python -m training evaluate --all`; do not edit. -->
 # Results
 
-Every committed model on the first {scenes} scenes of the test split, which training never saw, from
-the fixed test start. 128-pixel units; T is the horizon, so the error is that of step T - 1; "worst
-step" is the step with the largest mean error. "Constant position" is the true position of t = 0,
-"linear extrapolation" a line through ten true positions (t = -3..6). Covariances are
-those that the service answers with: the network's own times a scale per step fitted on validation
-scenes, or the covariance of its validation residuals. The paper's networks each saw about 17
-million sequences."""
+Errors of every committed model on the first {scenes} scenes of the test split, from the fixed test
+start. The test split is not used in training. Errors are in pixels of 128 x 128 frames. T is the
+horizon, so the error at T is the error of step T - 1; "worst step" is the step with the largest
+mean error. "Constant position" is the true position at t = 0, "linear extrapolation" a line through
+ten true positions (t = -3..6). The covariances are those that the service returns: the network's
+own covariances times a scale per step, which was fitted on validation scenes, or the covariance of
+the residuals on validation scenes. The paper's networks were each trained on about 17 million
+sequences."""
 
 
 def _table(cells: Sequence[Measurement]) -> str:

@@ -123,8 +123,8 @@ def _supervision() -> tuple[Row, ...]:
 TEXTURE = Study(
     "texture",
     "Textured and white balls",
-    f"""Networks trained and tested on ellipsoidal bowls with balls whose turning can be seen, and
-with white ones. {LEGEND} T_train is 20, T_gen 40.""",
+    f"""Networks trained and tested on ellipsoidal bowls with textured balls, whose rotation is
+visible, and with white balls. {LEGEND} T_train is 20, T_gen 40.""",
     (BenchmarkCase("ellipsoid"), BenchmarkCase("ellipsoid", override=PLAIN_WHITE)),
     _textures,
 )
@@ -140,8 +140,8 @@ MODULE = Study(
 COLLISIONS = Study(
     "collisions",
     "After the first collision",
-    f"""Test scenes in which two balls collide, from ten steps before they first do: errors 5 and 10
-steps after it. {LEGEND}""",
+    f"""Errors 5 and 10 steps after the first collision, on test scenes in which two balls collide.
+Forecasts start ten steps before the collision. {LEGEND}""",
     (BenchmarkCase("ellipsoid", 2, colliding=True), BenchmarkCase("ellipsoid", 3, colliding=True)),
     _modules,
 )
@@ -149,9 +149,9 @@ steps after it. {LEGEND}""",
 INTERPOLATION = Study(
     "interpolation",
     "Extrapolation and interpolation",
-    f"""Four frames against four and a final one. "compact-dispnet trained to T" is four networks,
-each supervised as far as it forecasts; a committed model that interpolates sees the frame of T_gen.
-{LEGEND}""",
+    f"""Forecasts from four frames compared with forecasts from four frames and a final frame.
+"compact-dispnet trained to T" denotes four networks, each supervised up to its horizon. Committed
+models that interpolate receive the frame of T_gen. {LEGEND}""",
     (
         *(
             BenchmarkCase(name, horizons=LENGTHS)

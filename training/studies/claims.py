@@ -163,14 +163,14 @@ def _of_ours(of: Callable[[str], tuple[Comparison, ...]]) -> tuple[Comparison, .
 CLAIMS = (
     Claim(
         "long-term",
-        "Networks from frames beat those from states (NPE, IFS) up to T_train: PosNet in every "
+        "Networks from frames beat networks from states (NPE, IFS) up to T_train: PosNet in every "
         "scenario",
         (*_each(POSNET, "npe", "T=20"), *_each(POSNET, "ifs", "T=20")),
     ),
     Claim(
         "long-term",
-        "On heightfields seeing the ground pays most: PosNet, DispNet and ProbNet beat NPE and IFS "
-        "at T_train",
+        "Observing the ground helps most on heightfields: PosNet, DispNet and ProbNet beat NPE and "
+        "IFS at T_train",
         (
             *_of_ours(lambda name: _each(name, "npe", "T=20", ("heightfield",))),
             *_of_ours(lambda name: _each(name, "ifs", "T=20", ("heightfield",))),
@@ -186,12 +186,12 @@ CLAIMS = (
     ),
     Claim(
         "long-term",
-        "VIN fails even at T_train: V-LSTM beats it in every scenario",
+        "VIN is inaccurate even at T_train: V-LSTM beats it in every scenario",
         _each(f"v-lstm{WITHOUT}", f"vin{WITHOUT}", "T=20"),
     ),
     Claim(
         "long-term",
-        "Beyond T_train methods from states keep up better: NPE beats PosNet at T_gen in bowls",
+        "Beyond T_train, methods from states generalise better: NPE beats PosNet at T_gen in bowls",
         _each("npe", POSNET, "T=40", BOWLS),
     ),
     Claim(
@@ -203,7 +203,7 @@ CLAIMS = (
     ),
     Claim(
         "long-term",
-        "Learned methods beat both polynomials at T_gen in every scenario, NPE and IFS among them",
+        "Learned methods, including NPE and IFS, beat both polynomials at T_gen in every scenario",
         (
             *_each("npe", "linear extrapolation", "T=40"),
             *_each("ifs", "linear extrapolation", "T=40"),
@@ -213,13 +213,13 @@ CLAIMS = (
     ),
     Claim(
         "several-balls",
-        "Without a collision module the networks compete with NPE: DispNet beats it at T_train "
-        "with two balls",
+        "Without a collision module, the networks are competitive with NPE: DispNet beats it at "
+        "T_train with two balls",
         (Comparison("ellipsoid", 2, DISPNET, "npe", "T=15"),),
     ),
     Claim(
         "several-balls",
-        "IFS is the best of all at T_gen",
+        "IFS is the best method at T_gen",
         (*_of_several("ifs", "npe", "T=30"), *_of_several("ifs", POSNET, "T=30")),
     ),
     Claim(
@@ -229,12 +229,12 @@ CLAIMS = (
     ),
     Claim(
         "interaction",
-        "The module for several balls helps DispNet at T_gen",
+        "The interaction module helps DispNet at T_gen",
         _of_several(DISPNET, f"{DISPNET}{NO_MODULE}", "T=30"),
     ),
     Claim(
         "collisions",
-        "The module helps DispNet after a collision, with two balls and with three",
+        "The interaction module helps DispNet after a collision, with two balls and with three",
         tuple(
             replace(one, condition="before the first collision")
             for steps in (5, 10)
@@ -243,8 +243,8 @@ CLAIMS = (
     ),
     Claim(
         "interpolation",
-        "A final frame helps: InterpNet beats DispNet trained to T at T = 20 and later, most where "
-        "DispNet is worst",
+        "A final frame helps: InterpNet beats DispNet trained to T at T = 20 and later, by most "
+        "where DispNet is worst",
         tuple(
             one
             for at in ("T=20", "T=30", "T=40")
@@ -253,8 +253,8 @@ CLAIMS = (
     ),
     Claim(
         "texture",
-        "The texture of a ball hardly matters: PosNet, DispNet and ProbNet err with white balls as "
-        "with textured ones (less than 1.25 times as much in at least ten of twelve cells)",
+        "Texture has little effect: errors of PosNet, DispNet and ProbNet with white balls are "
+        "less than 1.25 times those with textured balls in at least ten of twelve cells",
         tuple(
             Comparison(
                 "ellipsoid", 1, name, name, at, "white balls", worse_condition="", factor=1.25
@@ -266,13 +266,13 @@ CLAIMS = (
     ),
     Claim(
         "supervision",
-        "Networks that are supervised as far as they forecast do best: PosNet, DispNet and ProbNet "
-        "supervised to T = 40 beat those supervised to T = 20 there",
+        "Networks are most accurate up to the horizon of their supervision: PosNet, DispNet and "
+        "ProbNet supervised to T = 40 beat those supervised to T = 20 at T = 40",
         _of_ours(lambda name: _each(f"{name} supervised to T=40", name, "T=40")),
     ),
     Claim(
         "interpolation",
-        "InterpNet errs most in the middle: at T = 20 more than at T = 40",
+        "InterpNet has its largest error in the middle: at T = 20 larger than at T = 40",
         tuple(
             replace(one, worse_at="T=20")
             for one in _each(f"{COMPACT}interpnet", f"{COMPACT}interpnet", "T=40")

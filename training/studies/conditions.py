@@ -36,12 +36,12 @@ def _rows() -> tuple[Row, ...]:
 DIFFICULTY = Study(
     "difficulty",
     "Heightfields by difficulty",
-    """The committed one-ball models on the heightfields among 500 test scenes, in four parts by the
-scale of their noise, the side of a cell of its lattice in metres: the smaller, the more hills lie
-in a ball's way. The parts hold equally many scenes: scales are drawn evenly from 0.2 to 0.7, but on
-small ones hardly any ball keeps moving for the 250 frames that a scene must last (the paper's
-rule), so that only 1 % of the scenes lie below 0.48. Mean position error in 128-pixel units at
-T_train = 20 and T_gen = 40; nothing was trained for this table.""",
+    """Errors of the committed one-ball models on the 500 heightfields of the test split, in four
+groups by noise scale: the side of a cell of the noise lattice in metres. A smaller scale puts more
+hills in the path of a ball. The groups are about equally large. Scales are sampled uniformly from
+0.2 to 0.7, but at small scales few balls keep moving for the 250 frames that the paper requires, so
+that only 1 % of the scenes lie below 0.48. Mean position error in pixels of 128 x 128 frames at
+T_train = 20 and T_gen = 40. No model was trained for this table.""",
     tuple(
         BenchmarkCase("heightfield", scene_filter=SceneFilter("noise_scale", low, high))
         for low, high in pairwise(NOISE_SCALES)
@@ -52,14 +52,14 @@ T_train = 20 and T_gen = 40; nothing was trained for this table.""",
 
 UNUSUAL = Study(
     "unusual",
-    "Outside the training",
-    f"""The committed one-ball models on scenes of which one thing lies outside their training's
-range, beside usual scenes: balls of another radius (trained on {TRAINED_RADII}), other speeds,
-narrower bowls (trained on axis ratios of 0.5 to 1; below 0.47 a ball of the usual size does not
-reach the bottom, so that they go with smaller balls), other lights (trained with the light 2 m
-high, beyond a corner), white balls (trained on coloured ones). Mean position error in 128-pixel
-units at T_train = 20 and T_gen = 40; nothing was trained for this table. The service warns of
-frames that look unlike its training.""",
+    "Outside the training distribution",
+    f"""Errors of the committed one-ball models on scenes with one property outside the training
+distribution, beside scenes within it: another radius (trained on {TRAINED_RADII}),
+other speeds, narrower bowls (trained on axis ratios of 0.5 to 1; below 0.47 a ball of the default
+size does not reach the bottom, so these bowls have smaller balls), other lights (trained with a
+light 2 m high, beyond a corner) and white balls (trained on coloured ones). Mean position error in
+pixels of 128 x 128 frames at T_train = 20 and T_gen = 40. No model was trained for this table. The
+service warns about frames that look unlike the training data.""",
     (
         *(
             BenchmarkCase("hemisphere", override=one)

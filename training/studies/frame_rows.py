@@ -82,16 +82,16 @@ def v_lstm(*, angular_velocity: bool) -> Row:
         return VLstm(case.objects, case.trained_horizon, angular_velocity=angular_velocity)
 
     method = "v-lstm" + ("" if angular_velocity else PLAIN)
-    taught_by = POSITIONS_AND_SPINS if angular_velocity else POSITIONS
+    supervision = POSITIONS_AND_SPINS if angular_velocity else POSITIONS
     return _from_frames(
-        method, "AlexNet from nothing, LSTM", taught_by, build, configure, LSTM_BATCH
+        method, "AlexNet from random weights, LSTM", supervision, build, configure, LSTM_BATCH
     )
 
 
 def _from_frames(
     method: str,
     architecture: str,
-    taught_by: str,
+    supervision: str,
     build: Callable[[BenchmarkCase], Learner[Batch]],
     configure: Configure,
     batch_size: int,
@@ -126,7 +126,7 @@ def _from_frames(
             made = _seen(fitted.learner, test)
         return Outcome(made, config.batches, fitted.converged)
 
-    return Row(method, measure, architecture, taught_by, learns=True, given_states=False)
+    return Row(method, measure, architecture, supervision, learns=True, given_states=False)
 
 
 def _seen(learner: Learner[Batch], scenes: FixedScenes) -> Forecasts:

@@ -23,10 +23,10 @@ from training.studies.state_rows import ifs, npe
 from training.studies.study import Study
 
 SIMULATOR_NOISE_PX = (0.25, 0.5)
-CAPTION = f"""{LEGEND} "Given states" are methods that start from true positions; the simulator is
-the world itself, restarted from the true state or from the motion that fits four positions with so
-much noise best. Bold is the best of those that see frames. T_train is {{trained}}, T_gen
-{{generated}}."""
+CAPTION = f"""{LEGEND} Methods with "states" in the column "given" start from true positions. The
+row "simulator" is PyBullet restarted from the true state, or from the motion that best fits four
+positions with the given noise. Bold marks the best method that observes frames. T_train is
+{{trained}}, T_gen {{generated}}."""
 
 
 MODELS = Path(__file__).parents[2] / "models"

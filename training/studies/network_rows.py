@@ -99,12 +99,12 @@ def _compact(
     recipe: Recipe,
     fits: Callable[[BenchmarkCase], bool],
 ) -> Row:
-    taught_by = POSITIONS_AND_SPINS if recipe.task.angular_velocity else POSITIONS
+    supervision = POSITIONS_AND_SPINS if recipe.task.angular_velocity else POSITIONS
     return Row(
         method,
         measure,
         COMPACT_ARCHITECTURE,
-        taught_by,
+        supervision,
         learns=True,
         given_states=False,
         fits=fits,

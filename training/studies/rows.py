@@ -15,15 +15,16 @@ from training.common.settings import runs_folder
 from training.objectives.metrics import Forecasts, beside_truth, stays_put
 from training.studies.benchmark_case import BenchmarkCase, FixedScenes
 
-LEGEND = """Every cell: mean error on 500 test scenes in 128-pixel units, after it half the spread
-over seeds where there are several; in brackets the error of angular velocity in rad/s; in square
-brackets the mean negative log likelihood where a network predicts covariances; after the stroke
-the paper's error. Budgets are unequal: the last columns give the sequences of each kind of scene
-that a row was trained on, optimiser steps, trainings, and where its validation error had stopped
-falling. The paper's networks saw about 17 million sequences. Rows named "compact-" have the
-paper's heads and supervision, not its VGG16; rows with a version ("posnet@1") are the committed
-models, which were told more than the paper's."""
-"""Of the tables of methods."""
+LEGEND = """Each cell gives the mean error on 500 test scenes in pixels of 128 x 128 frames,
+followed by half the spread over seeds if there are several; in parentheses the error of the angular
+velocity in rad/s; in square brackets the mean negative log likelihood if the network predicts
+covariances; and after the slash the paper's error. Budgets differ: the last columns give the
+training sequences of each scenario, the optimiser steps, the number of trainings, and whether the
+validation error had stopped falling. The paper's networks were trained on about 17 million
+sequences. Rows named "compact-" have the paper's heads and supervision, but not its VGG16. Rows
+with a version ("posnet@1") are the committed models, which were trained with more supervision than
+the paper's."""
+"""Caption shared by the tables of methods."""
 BUDGET = 60_000
 """Training sequences of each kind of scene for every row that learns, if there is time for them."""
 STATE_BUDGET = 2_000_000
@@ -99,7 +100,7 @@ class Row:
         Trains it if need be and forecasts test scenes up to T_gen.
     architecture
         What it is.
-    taught_by
+    supervision
         What its training was told; "-" for what learns nothing.
     learns
         Whether the study trains it.
@@ -116,7 +117,7 @@ class Row:
     method: str
     measure: Callable[[FixedScenes, StudyBudget], Outcome]
     architecture: str
-    taught_by: str
+    supervision: str
     learns: bool
     given_states: bool
     fits: Callable[[BenchmarkCase], bool] = lambda _: True

@@ -111,12 +111,12 @@ def _from_states(
             made = _forecasts(fitted.learner, test.states, test)
         return Outcome(made, config.batches, fitted.converged)
 
-    taught_by = "true positions, angular velocities" if angular_velocity else "true positions"
+    supervision = "true positions, angular velocities" if angular_velocity else "true positions"
     return Row(
         method,
         measure,
         architecture,
-        taught_by,
+        supervision,
         learns=True,
         given_states=True,
         usual_budget=STATE_BUDGET,

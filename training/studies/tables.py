@@ -30,7 +30,7 @@ def page(study: Study, results: Results) -> str:
     ]
     claimed = [claim for claim in CLAIMS if claim.study == study.name]
     if claimed:
-        parts += ["## What the paper says of it", _claims(verdicts(claimed, own.cells))]
+        parts += ["## Claims of the paper", _claims(verdicts(claimed, own.cells))]
     return "\n\n".join(parts) + "\n"
 
 
@@ -80,10 +80,10 @@ def _table(study: Study, results: Results) -> str:
             for case, at in columns
         ]
         given = "states" if row.given_states else "frames"
-        about = f"{row.architecture} / {row.taught_by}"
+        about = f"{row.architecture} / {row.supervision}"
         lines.append((row.method, about, given, *texts, *_training(results, row)))
     ends = ("sequences", "optimiser steps", "trainings", "converged")
-    return table(("method", "architecture / taught by", "given", *heads, *ends), lines)
+    return table(("method", "architecture / supervision", "given", *heads, *ends), lines)
 
 
 def _training(results: Results, row: Row) -> tuple[str, str, str, str]:

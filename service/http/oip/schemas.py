@@ -35,7 +35,7 @@ class ServerReady(ServerLive):
 
 
 class TensorMetadata(ResponseBody):
-    """What a tensor looks like."""
+    """Name, type and shape of a tensor."""
 
     name: str
     datatype: Datatype
@@ -87,7 +87,7 @@ class OutputParameters(RequestBody):
     """Parameters of a requested output."""
 
     binary_data: Flag | None = None
-    """Whether it comes behind the JSON: by default as ``binary_data_output`` says."""
+    """True if the output follows the JSON in binary form; default: ``binary_data_output``."""
 
 
 class RequestedOutput(RequestBody):
@@ -101,7 +101,7 @@ class InferParameters(RequestBody):
     """Parameters of a request."""
 
     binary_data_output: Flag = False
-    """Whether the outputs come behind the JSON."""
+    """True if the outputs follow the JSON in binary form."""
 
 
 class InferRequest(RequestBody):
@@ -110,12 +110,12 @@ class InferRequest(RequestBody):
     id: str | None = None
     """Returned as it came."""
     model_name: str | None = None
-    """What KServe's client adds to the protocol: the name that the path has."""
+    """Model name, sent by KServe's client in addition to the path."""
     parameters: InferParameters | None = None
     inputs: Items[InferInput]
     """``frames``, and ``horizon`` if it shall not be the model's own."""
     outputs: Items[RequestedOutput] | None = None
-    """Those that are wanted, in that order; all when it is left out or empty."""
+    """Requested outputs, in order; all outputs if omitted or empty."""
 
 
 class BinarySize(ResponseBody):
@@ -155,4 +155,4 @@ class InferError(ResponseBody):
     """A refusal."""
 
     error: str
-    """What is wrong: the field, what came and what would be right."""
+    """Error message: the field, its value and the expected value."""

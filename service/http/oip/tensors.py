@@ -42,7 +42,7 @@ DTYPES: Mapping[str, np.dtype[Any]] = {
 
 @dataclass(frozen=True)
 class Query:
-    """What a request asks of a model, checked against its manifest."""
+    """A request, checked against the model's manifest."""
 
     id: str | None
     frames: UInt8[np.ndarray, "B K 128 128 3"]
@@ -61,7 +61,7 @@ class Message:
 
 
 def inputs_of(manifest: Manifest) -> list[TensorMetadata]:
-    """Describe what a model reads."""
+    """Describe the inputs of a model."""
     return [
         TensorMetadata(name=FRAMES_INPUT, datatype="UINT8", shape=[FREE, *manifest.frames_shape]),
         TensorMetadata(name=HORIZON_INPUT, datatype="INT64", shape=[1]),
@@ -69,7 +69,7 @@ def inputs_of(manifest: Manifest) -> list[TensorMetadata]:
 
 
 def outputs_of(manifest: Manifest) -> list[TensorMetadata]:
-    """Describe what a model answers; covariances are there whatever their source is."""
+    """Describe the outputs of a model, including covariances of any source."""
     return [
         TensorMetadata(
             name=name,
@@ -88,7 +88,7 @@ def split(body: bytes | bytearray, announced: str | None) -> tuple[bytes | bytea
     body
         The whole body.
     announced
-        The header that tells the JSON's length.
+        The header with the JSON's length.
 
     Raises
     ------
@@ -108,14 +108,14 @@ def split(body: bytes | bytearray, announced: str | None) -> tuple[bytes | bytea
 def read_query(
     request: InferRequest, binary: memoryview, manifest: Manifest, max_batch: int
 ) -> Query:
-    """Check a request against a model and take its tensors, the binary ones without a copy.
+    """Check a request against a model and read its tensors, binary ones without a copy.
 
     Parameters
     ----------
     request
         The JSON of the request.
     binary
-        What stands behind it.
+        Bytes after the JSON.
     manifest
         The model's.
     max_batch
@@ -216,8 +216,8 @@ def _read_tensors(
             tensors[given.name] = _from_binary(given, given.binary_size, rest, field)
             rest = rest[given.binary_size :]
     if rest:
-        expected = f"{len(binary) - len(rest)} bytes behind the JSON, the sum of binary_data_size"
-        raise InvalidValueError.at("body", f"{len(binary)} bytes behind the JSON", expected)
+        expected = f"{len(binary) - len(rest)} bytes after the JSON, the sum of binary_data_size"
+        raise InvalidValueError.at("body", f"{len(binary)} bytes after the JSON", expected)
     return tensors
 
 
@@ -246,7 +246,7 @@ def _from_binary(given: InferInput, size: int, rest: memoryview, field: str) -> 
         expected = f"{due}, for {given.datatype} {given.shape}"
         raise InvalidValueError.at(size_field, size, expected)
     if size > len(rest):
-        expected = f"at most the {len(rest)} bytes that are left behind the JSON ({LENGTH_HEADER})"
+        expected = f"at most the {len(rest)} bytes that remain after the JSON ({LENGTH_HEADER})"
         raise InvalidValueError.at(size_field, size, expected)
     return np.frombuffer(rest[:size], dtype).reshape(given.shape)
 
@@ -275,7 +275,7 @@ def _from_json(given: InferInput, field: str) -> np.ndarray:
 
 
 def _is_whole(number: object) -> bool:
-    """Tell whether it is a whole number; some clients make every number a float."""
+    """Return whether it is a whole number; some clients send every number as a float."""
     return type(number) is int or (type(number) is float and number.is_integer())
 
 

@@ -1,4 +1,4 @@
-"""``GET /``: the demo page, and below ``/static`` what it is made of."""
+"""``GET /``: the demo page, and its files below ``/static``."""
 
 import os
 from pathlib import Path
@@ -22,10 +22,10 @@ CONTENT_SECURITY_POLICY = "; ".join(
         "frame-ancestors 'none'",
     )
 )
-"""The page runs and loads what this service serves, and shows what its user drops on it."""
+"""Content security policy: the page only loads files of this service and dropped files."""
 
 REVALIDATED = {"Cache-Control": "no-cache"}
-"""A browser asks whether a file is still the same, so files of two versions never meet."""
+"""Cache policy: browsers revalidate files, so that files of two versions are not mixed."""
 
 router = APIRouter(include_in_schema=False)
 
@@ -44,7 +44,7 @@ def install_static_files(app: FastAPI) -> None:
 
 
 class _StaticFiles(StaticFiles):
-    """Files that are asked for anew after every upgrade (ETag)."""
+    """Static files with revalidation (ETag)."""
 
     def file_response(
         self,

@@ -47,7 +47,7 @@ MODEL_ERRORS = errors_of(404, 503)
 INFER_ANSWERS = {
     **errors_of(400, 401, 403, 404, 408, 413, 415, 429, 503, 504),
     200: {
-        "description": f"The outputs; with binary ones, {LENGTH_HEADER} tells the JSON's length.",
+        "description": f"Outputs. With binary outputs, {LENGTH_HEADER} is the length of the JSON.",
         "content": tensors_of(InferResponse, "InferResponse as JSON, then the binary outputs"),
     },
 }
@@ -71,7 +71,7 @@ router = APIRouter(prefix=PROTOCOL_PATH, tags=["open inference protocol"])
 
 @router.get("", responses=errors_of(401, 403))
 async def server_metadata() -> ServerMetadata:
-    """Tell what this server is."""
+    """Return the server metadata."""
     extensions = ["binary_tensor_data", "model_repository"]
     return ServerMetadata(name="rollcast", version=API_VERSION, extensions=extensions)
 

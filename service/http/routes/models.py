@@ -1,4 +1,4 @@
-"""``GET /models``: what is served, what is refused and why."""
+"""``GET /models``: the served models, and the rejected ones with their reasons."""
 
 from fastapi import APIRouter
 

@@ -95,7 +95,7 @@ async def predict_stream(request: Request, service: ServiceState) -> Response:
 
 
 def _parser(kind: str, body: Body, request: Request) -> Parser:
-    """Return what parses the body, in a worker."""
+    """Return the parser of the body, which runs in a worker thread."""
     if kind == JSON:
         return lambda _: parse_json(body, PredictRequest)
     content_type = request.headers["content-type"]

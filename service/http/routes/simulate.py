@@ -61,7 +61,8 @@ async def simulate_scene(request: Request, service: ServiceState) -> Response:
     except SceneRejectedError as error:
         raise SceneRejectedProblem.at("seed", body.seed, f"another one: {error}") from error
     except BrokenProcessPool as error:
-        lost = "The process that simulates died or cannot be started; the next call gets a new one."
+        lost = "The simulation process died or cannot be started; the next request starts a new "
+        "one."
         raise SimulationLostError(lost) from error
     return Response(content, media_type=JSON)
 

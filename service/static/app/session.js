@@ -250,7 +250,7 @@ function footageNotes(rate, knownRate, blendedS) {
   const notes = [];
   if (blendedS > 0) {
     const apart = `${Math.round(blendedS * 1000)} ms apart`;
-    const long = blendedS > 0.05 ? ", which is long for a ball that rolls" : "";
+    const long = blendedS > 0.05 ? ", which is long for a rolling ball" : "";
     notes.push(
       `The camera took no frames at these times: they are blended from those before and after, ${apart}${long}.`,
     );

@@ -174,7 +174,7 @@ def test_a_camera_that_moves_is_told(tmp_path):
 
 def test_a_film_without_balls_or_with_too_few_frames_is_told(tmp_path):
     still = Billiards(np.tile([[[60.0, 60.0]]], (60, 1, 1)), COLOURS)
-    with pytest.raises(FootageError, match="round things move in 60 pictures"):
+    with pytest.raises(FootageError, match="round moving objects were found in 60 pictures"):
         track(still.film(tmp_path / "still.mp4"))
     short = billiards(1, 12, seed=1).film(tmp_path / "short.mp4")
     with pytest.raises(FootageError, match="has 12 frames, expected at least 20"):

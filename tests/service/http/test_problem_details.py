@@ -137,7 +137,7 @@ def test_two_of_pydantics_errors_are_counted():
         {"type": "missing", "loc": (name,), "msg": "Field required", "input": {}} for name in "ab"
     ]
     refusal = invalid_values(found)
-    assert refusal.detail == "2 values are not acceptable: a, b"
+    assert refusal.detail == "2 values are invalid: a, b"
     assert [mistake.field for mistake in refusal.mistakes] == ["a", "b"]
 
 

@@ -203,7 +203,7 @@ def test_bad_requests_to_predict(client, case):
 def test_the_problem_document_names_field_value_and_what_would_be_right(client):
     assert client.post("/predict", json=body(horizon=1001)).json() == {
         "type": "/problems/invalid-value",
-        "title": "A value is not acceptable",
+        "title": "A value is invalid",
         "status": 422,
         "detail": "horizon: expected less than or equal to 1000",
         "field": "horizon",
@@ -215,7 +215,7 @@ def test_the_problem_document_names_field_value_and_what_would_be_right(client):
 def test_an_answer_names_ten_mistakes_and_counts_the_others(client):
     problem = client.post("/predict", json={f"n{index}": 1 for index in range(50)}).json()
     assert len(problem["errors"]) == 10
-    assert problem["detail"].startswith("51 values are not acceptable: frames, n0, n1")
+    assert problem["detail"].startswith("51 values are invalid: frames, n0, n1")
     assert problem["detail"].endswith("n8 and 41 more")
 
 
@@ -317,7 +317,7 @@ def test_a_fault_of_the_service_tells_nothing_of_its_inside(start):
         "type": "/problems/internal-error",
         "title": "The service failed",
         "status": 500,
-        "detail": "The fault is the service's; its log has the reason.",
+        "detail": "The service failed; its log contains the reason.",
     }
 
 

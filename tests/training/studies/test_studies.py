@@ -210,8 +210,8 @@ def test_every_row_says_what_it_is_and_who_taught_it(study):
     rows: tuple[Row, ...] = study.rows()
     for row in rows:
         assert row.architecture
-        assert row.taught_by
-        assert (row.taught_by == "-") == (not row.learns and row.sequences is None)
+        assert row.supervision
+        assert (row.supervision == "-") == (not row.learns and row.sequences is None)
         assert row.method.startswith(COMPACT) == row.architecture.startswith("compact")
 
 

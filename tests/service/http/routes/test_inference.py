@@ -399,11 +399,11 @@ REFUSED = {
     ),
     "nothing behind the JSON": (
         with_frames(parameters={"binary_data_size": SIZE}, data=None),
-        "expected at most the 0 bytes that are left behind the JSON (Inference-Header-Content-Le",
+        "expected at most the 0 bytes that remain after the JSON (Inference-Header-Content-Le",
     ),
     "bytes too many": (
         as_binary(tail=b"x"),
-        f"body is {SIZE + 9} bytes behind the JSON, expected {SIZE + 8} bytes behind the JSON",
+        f"body is {SIZE + 9} bytes after the JSON, expected {SIZE + 8} bytes after the JSON",
     ),
     "binary without the header": (raw(as_binary()["content"]), "The body is not"),
     "a length beyond the body": (behind({}, b"", 3), "is 3, expected the length of the JSON, at m"),
@@ -554,7 +554,7 @@ def test_a_fault_of_the_service_tells_nothing_of_its_inside(start):
     client = started(start, samples.Model("dot", 1, manifest, Failing(manifest)))
     failed = infer(client, as_binary(np.zeros_like(ONE)))
     assert failed.status_code == 500
-    assert only_error(failed) == "The fault is the service's; its log has the reason."
+    assert only_error(failed) == "The service failed; its log contains the reason."
     diverged = infer(client, as_binary())
     assert diverged.status_code == 400
     assert only_error(diverged) == "horizon is 3, expected at most 1 for these frames"
