@@ -15,7 +15,7 @@ from PIL.PngImagePlugin import PngImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
 from rollcast.camera import NETWORK_FRAME_SIZE
-from rollcast.frames import to_rgb
+from rollcast.frames import START_OF_JPEG, completed, to_rgb
 from rollcast.schemas import MAX_FRAME_SIZE, MIN_FRAME_SIZE
 from service.errors import BrokenImageError, InvalidValueError, NotAnImageError
 
@@ -26,6 +26,8 @@ START_OF_SCAN = b"\xff\xda"
 MAX_READS = 10_000
 """Pieces (segments, chunks) of a file beyond one for every PIECE_BYTES of it."""
 PIECE_BYTES = 256
+SLOW_PIXELS = 8 * 2**20
+"""Pixels that are decoded in about the time of a forecast, those of each scan counted."""
 DECODED_BYTES = 4096
 """Bytes that are decoded before the decoder may be interrupted."""
 MAX_HEADER_BYTES = 4 * 2**20
@@ -96,16 +98,14 @@ class _Jpeg(JpegImageFile):
 
 READERS: Mapping[bytes, type[ImageFile.ImageFile]] = {
     b"\x89PNG\r\n\x1a\n": PngImageFile,
-    b"\xff\xd8\xff": _Jpeg,
+    START_OF_JPEG: _Jpeg,
     b"RIFF": WebPImageFile,
 }
 """The formats that are read, by what their files begin with."""
 
 
-def decode_frames(
-    images: Sequence[bytes], fields: Sequence[str], check: Check = lambda: None
-) -> tuple[UInt8[np.ndarray, "K 128 128 3"], int]:
-    """Decode the frames of one request.
+class OpenedFrames:
+    """The frames of one request, of which the headers alone have been read.
 
     Parameters
     ----------
@@ -116,24 +116,64 @@ def decode_frames(
     check
         Called between pieces of the work; what it raises ends the decoding.
 
-    Returns
-    -------
-    tuple
-        RGB frames, and the side of the frames that were sent, in pixels.
-
     Raises
     ------
     NotAnImageError, BrokenImageError, InvalidValueError
         With the field at fault.
     """
-    opened = [_open(data, field, check) for data, field in zip(images, fields, strict=True)]
-    sides = [image.width for image in opened]
-    if len(set(sides)) > 1:
-        sizes = ", ".join(f"{side} x {side}" for side in sides)
-        raise InvalidValueError.at("frames", sizes, "frames of one size")
-    # Popped, so that the pixels of one large frame are freed before the next is decoded.
-    frames = [_load(opened.pop(0), field) for field in fields]
-    return np.stack(frames), sides[0]
+
+    def __init__(
+        self, images: Sequence[bytes], fields: Sequence[str], check: Check = lambda: None
+    ) -> None:
+        files = zip(images, fields, strict=True)
+        self._files = [_File(data, field, check) for data, field in files]
+        sides = [file.image.width for file in self._files]
+        if len(set(sides)) > 1:
+            sizes = ", ".join(f"{side} x {side}" for side in sides)
+            raise InvalidValueError.at("frames", sizes, "frames of one size")
+        self.side = sides[0]
+        """Side of the frames, in pixels."""
+        self.slow = self.side**2 * sum(file.passes for file in self._files) > SLOW_PIXELS
+        """Whether decoding them takes long beside a forecast."""
+
+    def decode(self) -> UInt8[np.ndarray, "K 128 128 3"]:
+        """Decode the frames, once, to RGB.
+
+        Raises
+        ------
+        BrokenImageError
+            With the field at fault.
+        """
+        # Popped, so that the pixels of one large frame are freed before the next is decoded.
+        return np.stack([_as_frame(self._files.pop(0).decode()) for _ in range(len(self._files))])
+
+
+class _File:
+    """An image file whose header has been read."""
+
+    def __init__(self, data: bytes, field: str, check: Check) -> None:
+        self._data, self._field, self._check = data, field, check
+        self.image = _open(data, field, check)
+        self.passes = data.count(START_OF_SCAN) if isinstance(self.image, _Jpeg) else 1
+        """Times that the decoder passes over all pixels."""
+
+    def decode(self) -> Image.Image:
+        """Decode the pixels; a JPEG file may lack its last marker, but no pixel."""
+        try:
+            self.image.load()
+        except DECODER_ERRORS as error:
+            whole = [_File(data, self._field, self._check) for data in completed(self._data)]
+            try:
+                for file in whole:
+                    file.image.load()
+            except DECODER_ERRORS:
+                whole = []
+            if not whole or any(file.image != whole[0].image for file in whole):
+                value = f"{self.image.format} of {self.image.width} x {self.image.height}"
+                expected = "a whole image, this one is cut off"
+                raise BrokenImageError.at(self._field, value, expected) from error
+            return whole[0].image
+        return self.image
 
 
 def _open(data: bytes, field: str, check: Check) -> ImageFile.ImageFile:
@@ -158,12 +198,7 @@ def _open(data: bytes, field: str, check: Check) -> ImageFile.ImageFile:
     return image
 
 
-def _load(image: ImageFile.ImageFile, field: str) -> UInt8[np.ndarray, "128 128 3"]:
-    try:
-        image.load()
-    except DECODER_ERRORS as error:
-        value = f"{image.format} of {image.width} x {image.height}"
-        raise BrokenImageError.at(field, value, "a whole image, this one is cut off") from error
+def _as_frame(image: Image.Image) -> UInt8[np.ndarray, "128 128 3"]:
     turn = TURNS.get(_orientation(image.info))
     return _to_network_size(to_rgb(image if turn is None else image.transpose(turn)))
 

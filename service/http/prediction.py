@@ -22,7 +22,7 @@ from rollcast.schemas import (
     StreamStep,
 )
 from service.errors import InvalidValueError
-from service.http.image_decoding import Check, decode_frames
+from service.http.image_decoding import Check, OpenedFrames
 from service.inference.deadlines import CancellationToken
 from service.inference.rollout import Forecast, Predictor, assemble
 from service.inference.scheduler import DecodedRequest
@@ -60,8 +60,8 @@ class _Forecast:
         self._horizon = 0
         self._doubts: list[str] = []
 
-    def begin(self) -> DecodedRequest:
-        """Choose the model and decode the frames.
+    def begin(self) -> DecodedRequest | Callable[[], DecodedRequest]:
+        """Choose the model and decode the frames, or return what decodes them if that is slow.
 
         Raises
         ------
@@ -76,11 +76,19 @@ class _Forecast:
         self.manifest = predictor.manifest
         self._horizon = _horizon(request, predictor.manifest)
         self._rate = request.frame_rate or predictor.manifest.frame_rate_hz
-        frames, self._side = _decode(request, self._token.raise_if_cancelled)
+        opened = _open(request, self._token.raise_if_cancelled)
+        self._side = opened.side
+
+        def decode() -> DecodedRequest:
+            return self._decoded(predictor, opened.decode())
+
+        return decode if opened.slow else decode()
+
+    def _decoded(self, predictor: Predictor, frames: np.ndarray) -> DecodedRequest:
         seen = frame_stats(frames)
         unlike = unfamiliar(predictor, seen)
         self._doubts = [*doubts(predictor, self._horizon, self._rate, seen), *unlike]
-        if unlike and request.model == AUTO_MODEL:
+        if unlike and self.request.model == AUTO_MODEL:
             predictor = self._for_unfamiliar_frames(predictor)
         self._stages.next()
         return DecodedRequest(predictor, frames[None], self._horizon)
@@ -238,11 +246,11 @@ def _horizon(request: PredictRequest, manifest: Manifest) -> int:
     return fixed
 
 
-def _decode(request: PredictRequest, check: Check) -> tuple[np.ndarray, int]:
+def _open(request: PredictRequest, check: Check) -> OpenedFrames:
     fields = [f"frames[{index}]" for index in range(len(request.frames))]
     if request.final_frame is None:
-        return decode_frames(request.frames, fields, check)
-    return decode_frames([*request.frames, request.final_frame], [*fields, "final_frame"], check)
+        return OpenedFrames(request.frames, fields, check)
+    return OpenedFrames([*request.frames, request.final_frame], [*fields, "final_frame"], check)
 
 
 def _objects(forecast: Forecast, manifest: Manifest) -> list[ForecastObject]:

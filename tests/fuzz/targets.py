@@ -27,7 +27,6 @@ from rollcast.manifest import Manifest
 from rollcast.schemas import PredictRequest
 from service.app import create_app
 from service.errors import ServiceError
-from service.http.image_decoding import decode_frames
 from service.http.oip.schemas import InferRequest
 from service.http.oip.tensors import read_query, split
 from service.http.problem_details import document
@@ -61,7 +60,7 @@ def frames(data: bytes) -> None:
     """One image file."""
     with warnings.catch_warnings(), refusals():
         warnings.simplefilter("ignore")  # Pillow warns of damaged metadata and goes on
-        decoded, _ = decode_frames([with_checksums(data)], ["frames[0]"])
+        decoded, _ = samples.decode_frames([with_checksums(data)], ["frames[0]"])
         assert (decoded.shape, decoded.dtype) == ((1, 128, 128, 3), np.uint8)
 
 
