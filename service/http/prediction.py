@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.image_sequence import numbering_warnings
 from rollcast.manifest import Manifest
 from rollcast.ood import frame_stats
 from rollcast.rollout import Outputs, stacked
@@ -31,7 +32,8 @@ from service.observability.tracing import Stages
 from service.serving.forecast_warnings import doubts, replaced, unfamiliar
 from service.serving.registry import ModelQuery, Registry
 
-Parser = Callable[[Check], PredictRequest]
+Parser = Callable[[Check], tuple[PredictRequest, list[str]]]
+"""Returns the request and the names of its files, as far as they are given."""
 
 
 class _Forecast:
@@ -68,7 +70,9 @@ class _Forecast:
         service.errors.ServiceError
             When the request cannot be served.
         """
-        self.request = request = self._parse(self._token.raise_if_cancelled)
+        self.request, names = self._parse(self._token.raise_if_cancelled)
+        request = self.request
+        self._doubts = numbering_warnings(names)
         self._stages.next()
         final_frame = request.final_frame is not None
         query = ModelQuery(request.model, request.objects, request.scenario, final_frame)
@@ -87,7 +91,7 @@ class _Forecast:
     def _decoded(self, predictor: Predictor, frames: np.ndarray) -> DecodedRequest:
         seen = frame_stats(frames)
         unlike = unfamiliar(predictor, seen)
-        self._doubts = [*doubts(predictor, self._horizon, self._rate, seen), *unlike]
+        self._doubts += [*doubts(predictor, self._horizon, self._rate, seen), *unlike]
         if unlike and self.request.model == AUTO_MODEL:
             predictor = self._for_unfamiliar_frames(predictor)
         self._stages.next()

@@ -12,6 +12,7 @@ import json
 import shutil
 import socket
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -39,8 +40,7 @@ class Service:
     """A running service and what is asked of it."""
 
     address: str
-    process: subprocess.Popen[str]
-    stopped: threading.Event = field(default_factory=threading.Event)
+    process: psutil.Process
 
     def post(self, path: str, content: bytes, timeout: float = 60, **headers: str) -> int:
         """Post a body; return the status, or 0 when there was no answer."""
@@ -59,9 +59,8 @@ class Service:
     @property
     def memory(self) -> int:
         """Resident bytes of the process and all that it has started."""
-        process = psutil.Process(self.process.pid)
         total = 0
-        for one in (process, *process.children(recursive=True)):
+        for one in (self.process, *self.process.children(recursive=True)):
             with contextlib.suppress(psutil.NoSuchProcess):
                 total += one.memory_info().rss
         return total
@@ -170,7 +169,7 @@ def bodies_that_do_not_end(service: Service) -> list[int]:
                     connection.sendall(piece)
             most = max(most, service.memory)
         assert most - before < 3 * BUDGET
-        service.stopped.wait(0.5)
+        time.sleep(0.5)
     return []
 
 
@@ -226,7 +225,7 @@ def started(models: Path) -> Iterator[Service]:
     try:
         with Client(address) as client:
             wait_until_ready(client)
-        yield Service(address, process)
+        yield Service(address, psutil.Process(process.pid))
     finally:
         process.kill()
         process.communicate()
@@ -282,19 +281,35 @@ def good_requests(service: Service, pause_s: float = 0.05) -> Iterator[GoodReque
 
 
 @contextlib.contextmanager
-def repeated(service: Service, *attacks: Attack) -> Iterator[None]:
-    """Let attacks go on, each in its thread, until the block is left."""
-    service.stopped.clear()
+def repeated(service: Service, *names: str) -> Iterator[None]:
+    """Let attacks go on, each in a thread of another process, until the block is left.
+
+    The process has the lowest priority: attackers compute on machines of their own.
+    """
+    command = ["nice", "-n", "19", sys.executable, "-m", __name__]
+    attacker = subprocess.Popen(
+        [*command, service.address, str(service.process.pid), *names], cwd=ROOT
+    )
+    try:
+        yield
+    finally:
+        attacker.kill()
+        attacker.wait()
+
+
+def main() -> None:
+    """Attack until killed."""
+    address, pid, *names = sys.argv[1:]
+    service = Service(address, psutil.Process(int(pid)))
 
     def again(attack: Attack) -> None:
-        while not service.stopped.is_set():
+        while True:
             with contextlib.suppress(Exception):
                 attack(service)
 
-    with ThreadPoolExecutor(len(attacks)) as pool:
-        for attack in attacks:
-            pool.submit(again, attack)
-        try:
-            yield
-        finally:
-            service.stopped.set()
+    for name in names:
+        threading.Thread(target=again, args=(ATTACKS[name],)).start()
+
+
+if __name__ == "__main__":
+    main()

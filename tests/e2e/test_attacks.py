@@ -61,7 +61,7 @@ def test_no_good_request_is_lost_and_memory_comes_back(service, resting, attack)
 
 
 def test_it_stops_in_time_while_all_of_them_go_on(models):
-    with started(models) as service, repeated(service, *ATTACKS.values()):
+    with started(models) as service, repeated(service, *ATTACKS):
         time.sleep(3)
         service.process.terminate()
         # A machine that does other things needs its time to unwind, too.

@@ -68,7 +68,7 @@ def multipart(data: bytes) -> None:
     """A content type, a line feed, a body."""
     kind, _, content = data.partition(b"\n")
     with refusals():
-        request = parse_form(
+        request, _ = parse_form(
             content,
             kind.decode("latin-1"),
             PredictRequest,
