@@ -281,20 +281,28 @@ def good_requests(service: Service, pause_s: float = 0.05) -> Iterator[GoodReque
 
 
 @contextlib.contextmanager
-def repeated(service: Service, *names: str) -> Iterator[None]:
+def repeated(service: Service, *names: str) -> Iterator[list[str]]:
     """Let attacks go on, each in a thread of another process, until the block is left.
 
-    The process has the lowest priority: attackers compute on machines of their own.
+    The process has a low priority: attackers compute on machines of their own. Yields a list that
+    has the name of every attack in the end, as often as it was tried.
     """
-    command = ["nice", "-n", "19", sys.executable, "-m", __name__]
+    command = ["nice", "-n", "10", sys.executable, "-u", "-m", "tests.e2e.attacks"]
     attacker = subprocess.Popen(
-        [*command, service.address, str(service.process.pid), *names], cwd=ROOT
+        [*command, service.address, str(service.process.pid), *names],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        text=True,
     )
+    assert attacker.stdout is not None
+    tried: list[str] = []
+    begun = attacker.stdout.readline()
+    assert begun == "begun\n"
     try:
-        yield
+        yield tried
     finally:
         attacker.kill()
-        attacker.wait()
+        tried += attacker.communicate()[0].split()
 
 
 def main() -> None:
@@ -302,13 +310,15 @@ def main() -> None:
     address, pid, *names = sys.argv[1:]
     service = Service(address, psutil.Process(int(pid)))
 
-    def again(attack: Attack) -> None:
+    def again(name: str) -> None:
         while True:
             with contextlib.suppress(Exception):
-                attack(service)
+                ATTACKS[name](service)
+            print(name)
 
+    print("begun")
     for name in names:
-        threading.Thread(target=again, args=(ATTACKS[name],)).start()
+        threading.Thread(target=again, args=(name,)).start()
 
 
 if __name__ == "__main__":
