@@ -41,9 +41,12 @@ class Service:
 
     address: str
     process: psutil.Process
+    asked: Callable[[], None] = lambda: None
+    """Called with every request and connection of an attack."""
 
     def post(self, path: str, content: bytes, timeout: float = 60, **headers: str) -> int:
         """Post a body; return the status, or 0 when there was no answer."""
+        self.asked()
         named = {name.replace("_", "-"): value for name, value in headers.items()}
         with contextlib.suppress(httpx2.HTTPError):
             return httpx2.post(
@@ -53,6 +56,7 @@ class Service:
 
     def connect(self) -> socket.socket:
         """Open a connection."""
+        self.asked()
         parts = urlsplit(self.address)
         return socket.create_connection((parts.hostname, parts.port), timeout=30)
 
@@ -101,6 +105,7 @@ def nested_lists(service: Service) -> list[int]:
 
 def unknown_fields(service: Service) -> list[int]:
     body = json.dumps({f"{index}{'x' * 7000}": "y" * 1000 for index in range(900)}).encode()
+    service.asked()
     answer = httpx2.post(f"{service.address}/predict", content=body, headers=JSON, timeout=60)
     assert len(answer.content) < 10_000
     return [answer.status_code]
@@ -284,8 +289,8 @@ def good_requests(service: Service, pause_s: float = 0.05) -> Iterator[GoodReque
 def repeated(service: Service, *names: str) -> Iterator[list[str]]:
     """Let attacks go on, each in a thread of another process, until the block is left.
 
-    The process has a low priority: attackers compute on machines of their own. Yields a list that
-    has the name of every attack in the end, as often as it was tried.
+    The process has a low priority: attackers compute on machines of their own. Yields a list
+    that has an entry for every request in the end.
     """
     command = ["nice", "-n", "10", sys.executable, "-u", "-m", "tests.e2e.attacks"]
     attacker = subprocess.Popen(
@@ -308,13 +313,12 @@ def repeated(service: Service, *names: str) -> Iterator[list[str]]:
 def main() -> None:
     """Attack until killed."""
     address, pid, *names = sys.argv[1:]
-    service = Service(address, psutil.Process(int(pid)))
+    service = Service(address, psutil.Process(int(pid)), asked=lambda: print("asked"))
 
     def again(name: str) -> None:
         while True:
             with contextlib.suppress(Exception):
                 ATTACKS[name](service)
-            print(name)
 
     print("begun")
     for name in names:

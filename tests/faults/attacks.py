@@ -33,7 +33,7 @@ PAUSE_S = 0.01
 HEADER = markdown.header(
     (
         "attack, without a pause",
-        "times",
+        "its requests",
         "good requests",
         "lost",
         "p99 without, ms",
