@@ -185,7 +185,7 @@ def simulations_of_clients_that_leave(service: Service) -> list[int]:
     began = time.monotonic()
     small = json.dumps({"scenario": "hemisphere", "seed": 1, "steps": 4}).encode()
     status = service.post("/simulate", small)
-    assert time.monotonic() - began < 30, "the simulations of clients that have left go on"
+    assert time.monotonic() - began < 60, "the simulations of clients that have left go on"
     return [] if status == 200 else [status]
 
 
