@@ -1,14 +1,14 @@
 # The service with its models, without torch.
 #
-#   docker build -f docker/service.Dockerfile -t rollcast-service .
-#   docker run --read-only --tmpfs /tmp -e ROLLCAST_ALLOW_UNAUTHENTICATED=true -p 127.0.0.1:8000:8000 rollcast-service
+#   docker build -f docker/service.Dockerfile -t rollcast-service:0.1.0 .
+#   docker run --read-only --tmpfs /tmp -e ROLLCAST_ALLOW_UNAUTHENTICATED=true -p 127.0.0.1:8000:8000 rollcast-service:0.1.0
 #
-# It wants API keys (-v ./keys.json:/keys.json:ro -e ROLLCAST_KEYS_FILE=/keys.json) or, as above where
-# nobody else reaches its port, to be told that everybody may ask.
+# Where others reach the port, it wants a file of API keys: docs/guide/deployment.md. Any user may run
+# it, also one without a name.
 #
 # With Ray, for docker/kubernetes/ray.yaml:
 #
-#   docker build -f docker/service.Dockerfile --build-arg EXTRA=ray -t rollcast-ray .
+#   docker build -f docker/service.Dockerfile --build-arg EXTRA=ray -t rollcast-ray:0.1.0 .
 
 FROM docker.io/library/python:3.11-slim-bookworm AS build
 ARG EXTRA=service
@@ -53,8 +53,9 @@ WORKDIR /app
 USER 10001:10001
 EXPOSE 8000
 STOPSIGNAL SIGTERM
+# http.client goes through no proxy of the environment.
 HEALTHCHECK --interval=10s --timeout=3s --start-period=20s --retries=3 \
-    CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8000/health/live', timeout=2)"]
+    CMD ["python", "-c", "import http.client; c = http.client.HTTPConnection('127.0.0.1', 8000, timeout=2); c.request('GET', '/health/live'); raise SystemExit(c.getresponse().status != 200)"]
 ENTRYPOINT ["python", "-m", "service"]
 # Within the container every address is meant: who reaches them is said where it is run.
 CMD ["--host", "0.0.0.0", "--port", "8000"]

@@ -70,6 +70,7 @@ DECODER_ERRORS = (
     Image.DecompressionBombError,
 )
 """Exceptions that Pillow raises on damaged files."""
+START_OF_JPEG = b"\xff\xd8\xff"
 END_OF_IMAGE = b"\xff\xd9"
 """Marker that ends a JPEG file."""
 FILLINGS = (b"", b"\x55" * 4096, b"\xaa" * 4096)
@@ -166,6 +167,20 @@ def is_image_name(name: str) -> bool:
     return Image.registered_extensions().get(ending) in FORMATS
 
 
+def completed(data: bytes) -> list[bytes]:
+    """Complete a JPEG file that lacks its last marker, in several ways.
+
+    Returns
+    -------
+    list
+        Files whose pixels are equal if none is missing; empty for any other file.
+    """
+    if not data.startswith(START_OF_JPEG) or data.endswith(END_OF_IMAGE):
+        return []
+    begun = data.removesuffix(END_OF_IMAGE[:1])
+    return [begun + filling + END_OF_IMAGE for filling in FILLINGS]
+
+
 def is_heic(head: bytes) -> bool:
     """Return whether a file begins like a HEIC (iPhone) picture."""
     return head[4:8] == b"ftyp" and head[8:12] in HEIC_BRANDS
@@ -233,20 +248,14 @@ def _from_bytes(data: bytes, name: str) -> UInt8[np.ndarray, "H W 3"]:
     except Image.UnidentifiedImageError as error:
         raise FrameError(_unidentified(data, name)) from error
     except FrameError:
-        if data.startswith(b"\xff\xd8\xff") and not data.endswith(END_OF_IMAGE):
-            return _without_end(data, name)
-        raise
+        decoded = [_from_bytes(whole, name) for whole in completed(data)]
+        if not decoded:
+            raise
+        if any((one != decoded[0]).any() for one in decoded):
+            raise FrameError(f"{name} is cut off: pixels at its end are missing") from None
+        return decoded[0]
     except DECODER_ERRORS as error:
         raise FrameError(f"{name} is damaged: {_reason(error)}") from error
-
-
-def _without_end(data: bytes, name: str) -> UInt8[np.ndarray, "H W 3"]:
-    """Decode a JPEG file that ends before its last marker, if no pixel is missing."""
-    begun = data.removesuffix(END_OF_IMAGE[:1])
-    decoded = [_from_bytes(begun + filling + END_OF_IMAGE, name) for filling in FILLINGS]
-    if any((one != decoded[0]).any() for one in decoded):
-        raise FrameError(f"{name} is cut off: pixels at its end are missing")
-    return decoded[0]
 
 
 def _pixels(image: Image.Image, name: str) -> UInt8[np.ndarray, "H W 3"]:

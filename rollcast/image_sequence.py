@@ -29,6 +29,8 @@ from rollcast.frames import (
 )
 
 TIFF_HEADS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+MAX_NAME = 255
+"""Characters of the longest file name that is looked at."""
 GAPS_NAMED = 3
 """Gaps that a warning names; of more it gives the number."""
 
@@ -90,7 +92,7 @@ class ImageSequence:
     @classmethod
     def from_files(cls, paths: Sequence[Path], rate: float, name: str) -> "ImageSequence":
         """Return image files in the given order; numbers in their names determine gaps."""
-        numbers, warnings = _numbering(paths)
+        numbers, warnings = _numbering(paths, "the gap counts as time")
         return cls(name, [_Page(path) for path in paths], rate, numbers, warnings)
 
     @classmethod
@@ -213,8 +215,27 @@ def _parts(name: str) -> list[str | int]:
     ]
 
 
-def _numbering(paths: Sequence[Path]) -> tuple[list[int] | None, list[str]]:
-    """Return the index of each image in time, and warnings."""
+def numbering_warnings(names: Sequence[str]) -> list[str]:
+    """Return what the file names of frames say against frames that are in order and evenly spaced.
+
+    Parameters
+    ----------
+    names
+        Names or paths of the files; of very long ones nothing is said.
+    """
+    if any(len(name) > MAX_NAME for name in names):
+        return []
+    return _numbering([Path(name) for name in names], "the frames are taken as evenly spaced")[1]
+
+
+def _numbering(paths: Sequence[Path], gap: str) -> tuple[list[int] | None, list[str]]:
+    """Return the place of each image in time, in images, and what to warn of.
+
+    Parameters
+    ----------
+    gap
+        What becomes of gaps in the numbering.
+    """
     found = _numbers_in(paths)
     if found is None:
         return None, []
@@ -231,7 +252,7 @@ def _numbering(paths: Sequence[Path]) -> tuple[list[int] | None, list[str]]:
     gaps = [index for index in range(len(steps)) if steps[index] > step]
     if not gaps:
         return None, []
-    return numbers, [_gap_warning(paths, numbers, gaps)]
+    return numbers, [f"{_gaps(paths, numbers, gaps)}: {gap}"]
 
 
 def _numbers_in(paths: Sequence[Path]) -> list[int] | None:
@@ -245,12 +266,9 @@ def _numbers_in(paths: Sequence[Path]) -> list[int] | None:
     return [int(parts[differing[0]]) for parts in names]
 
 
-def _gap_warning(paths: Sequence[Path], numbers: Sequence[int], gaps: Sequence[int]) -> str:
+def _gaps(paths: Sequence[Path], numbers: Sequence[int], gaps: Sequence[int]) -> str:
     missing = sum(numbers[index + 1] - numbers[index] - 1 for index in gaps)
     places = ", ".join(shown_path(paths[index].name) for index in gaps[:GAPS_NAMED])
     more = "" if len(gaps) <= GAPS_NAMED else f" and {len(gaps) - GAPS_NAMED} more"
     images = "image is" if missing == 1 else "images are"
-    return (
-        f"{missing} {images} missing from the numbering, after {places}{more}: the gap counts as "
-        "time"
-    )
+    return f"{missing} {images} missing from the numbering, after {places}{more}"

@@ -1,8 +1,19 @@
 """``python -m training``: simulate, train, evaluate, export."""
 
-from training.cli import application
+import sys
 
-app = application()
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+
+
+def main() -> None:
+    """Run a command."""
+    try:
+        from training.cli import application
+    except KeyboardInterrupt:  # importing takes seconds
+        sys.exit(INTERRUPTED)
+    application()()
+
 
 if __name__ == "__main__":
-    app()
+    main()

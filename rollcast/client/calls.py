@@ -8,6 +8,7 @@ import operator
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Generic, SupportsIndex, TypeAlias, TypedDict, TypeVar, cast
 from urllib.parse import quote
 
@@ -19,6 +20,7 @@ from rollcast.client.images import Crop, Frame, Frames, each, encoded
 from rollcast.client.results import Forecast, Simulation
 from rollcast.client.shapes import require
 from rollcast.errors import InvalidArgumentError
+from rollcast.image_sequence import numbering_warnings
 from rollcast.scene import Domain, Scenario, Scene
 from rollcast.schemas import (
     MAX_HORIZON,
@@ -208,10 +210,13 @@ def _forecast_call(
         "scenario": options.get("scenario"),
         "frame_rate": None if rate is None else _number("frame_rate", rate),
     }
+    pictures = each(frames)
     files: list[Part] = [
-        ("frames", (f"frame{index}", encoded(frame, crop)))
-        for index, frame in enumerate(each(frames))
+        ("frames", (f"frame{index}", encoded(frame, crop))) for index, frame in enumerate(pictures)
     ]
+    paths = [str(frame) for frame in pictures if isinstance(frame, str | Path)]
+    if len(paths) == len(pictures):
+        warnings = (*warnings, *numbering_warnings(paths))
     if final_frame is not None:
         files.append(("final_frame", ("final_frame", encoded(final_frame, crop))))
     call = Call(

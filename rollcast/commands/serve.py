@@ -3,6 +3,7 @@
 import os
 import sys
 from importlib.util import find_spec
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +23,11 @@ Examples:
   rollcast serve
   rollcast serve --port 9000
 """
+IMAGE = "rollcast-service:0.1.0"
+KEYS = (
+    'API keys are made with docker run --rm --user "$(id -u):$(id -g)" -v ./keys:/keys '
+    f"--entrypoint python {IMAGE} -m service.auth --file /keys/keys.json add NAME"
+)
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 
@@ -48,8 +54,8 @@ def serve(
         container_command(host, port),
         [
             "the service is not part of the package; start its container with the command below, "
-            "after building it in a checkout with docker build -f docker/service.Dockerfile -t "
-            "rollcast-service ."
+            f"after building it in a checkout with docker build -f docker/service.Dockerfile -t "
+            f"{IMAGE} ." + ("" if _is_loopback(host) else f"; {KEYS}")
         ],
         code=1,
     )
@@ -61,8 +67,26 @@ def is_checkout(root: Path) -> bool:
 
 
 def container_command(host: str, port: int) -> str:
-    """Return the command that starts the service's container."""
-    return f"docker run --rm --read-only --tmpfs /tmp -p {host}:{port}:8000 rollcast-service"
+    """Return the command that starts the service's container.
+
+    Where others reach it, it asks for the API keys of ./keys; that needs the user who made them.
+    """
+    if _is_loopback(host):
+        access = "-e ROLLCAST_ALLOW_UNAUTHENTICATED=true"
+    else:
+        access = (
+            '--user "$(id -u):$(id -g)" -v ./keys:/keys:ro -e ROLLCAST_KEYS_FILE=/keys/keys.json'
+        )
+    shown = f"[{host}]" if ":" in host else host
+    published = f"-p {shown}:{port}:8000"
+    return f"docker run --rm --read-only --tmpfs /tmp {access} {published} {IMAGE}"
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def _python(root: Path) -> str:

@@ -15,7 +15,7 @@ from PIL.PngImagePlugin import PngImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
 from rollcast.camera import NETWORK_FRAME_SIZE
-from rollcast.frames import to_rgb
+from rollcast.frames import START_OF_JPEG, completed, to_rgb
 from rollcast.schemas import MAX_FRAME_SIZE, MIN_FRAME_SIZE
 from service.errors import BrokenImageError, InvalidValueError, NotAnImageError
 
@@ -27,6 +27,8 @@ START_OF_SCAN = b"\xff\xda"
 MAX_READS = 10_000
 """Pieces (segments, chunks) of a file beyond one for every PIECE_BYTES of it."""
 PIECE_BYTES = 256
+SLOW_PIXELS = 8 * 2**20
+"""Pixels that are decoded in about the time of a forecast, those of each scan counted."""
 DECODED_BYTES = 4096
 """Bytes that are decoded before the decoder may be interrupted."""
 MAX_HEADER_BYTES = 4 * 2**20
@@ -97,78 +99,123 @@ class _Jpeg(JpegImageFile):
 
 READERS: Mapping[bytes, type[ImageFile.ImageFile]] = {
     b"\x89PNG\r\n\x1a\n": PngImageFile,
-    b"\xff\xd8\xff": _Jpeg,
+    START_OF_JPEG: _Jpeg,
     b"RIFF": WebPImageFile,
 }
 """The formats that are read, by what their files begin with."""
 
 
-def decode_frames(
-    images: Sequence[bytes], fields: Sequence[str], check: Check = lambda: None
-) -> tuple[UInt8[np.ndarray, "K 128 128 3"], int]:
-    """Decode the frames of one request.
+class OpenedFrames:
+    """The frames of one request, of which the headers alone have been read.
 
     Parameters
     ----------
     images
-        PNG, JPEG or WebP files, square and of one size.
+        PNG, JPEG or WebP files of one size.
     fields
         Name of each in the request, for messages.
     check
         Called between pieces of the work; what it raises ends the decoding.
 
-    Returns
-    -------
-    tuple
-        RGB frames, and the side of the frames that were sent, in pixels.
-
     Raises
     ------
     NotAnImageError, BrokenImageError, InvalidValueError
         With the field at fault.
     """
-    opened = [_open(data, field, check) for data, field in zip(images, fields, strict=True)]
-    sides = [image.width for image in opened]
-    if len(set(sides)) > 1:
-        sizes = ", ".join(f"{side} x {side}" for side in sides)
-        raise InvalidValueError.at("frames", sizes, "frames of one size")
-    # Popped, so that the pixels of one large frame are freed before the next is decoded.
-    frames = [_to_network_size(_load(opened.pop(0), field)) for field in fields]
-    return np.stack(frames), sides[0]
+
+    def __init__(
+        self, images: Sequence[bytes], fields: Sequence[str], check: Check = lambda: None
+    ) -> None:
+        files = zip(images, fields, strict=True)
+        self._files = [_File(data, field, check) for data, field in files]
+        self._sizes = [file.image.size for file in self._files]
+        width, height = self._sizes[0]
+        self.is_square = all(width == height for width, height in self._sizes)
+        self.slow = width * height * sum(file.passes for file in self._files) > SLOW_PIXELS
+        """Whether decoding them takes long beside a forecast."""
+
+    @property
+    def side(self) -> int:
+        """Side of square frames, in pixels."""
+        return self._sizes[0][0]
+
+    def require_squares(self) -> None:
+        """Refuse frames that are not square, or of several sizes.
+
+        Raises
+        ------
+        InvalidValueError
+            With the field at fault.
+        """
+        for (width, height), file in zip(self._sizes, self._files, strict=True):
+            if width != height:
+                raise InvalidValueError.at(file.field, f"{width} x {height}", SIDES)
+        _require_one_size(self._sizes)
+
+    def decode(self) -> UInt8[np.ndarray, "K 128 128 3"]:
+        """Decode square frames, once, to RGB of the networks' size.
+
+        Raises
+        ------
+        BrokenImageError, InvalidValueError
+            With the field at fault.
+        """
+        self.require_squares()
+        # Popped, so that the pixels of one large frame are freed before the next is decoded.
+        return np.stack(
+            [_to_network_size(_upright(self._files.pop(0).decode())) for _ in self._sizes]
+        )
+
+    def decode_whole(self) -> UInt8[np.ndarray, "K height width 3"]:
+        """Decode the frames, once, to RGB of their own size.
+
+        Raises
+        ------
+        BrokenImageError, InvalidValueError
+            With the field at fault.
+        """
+        # The pixels decide: a photo may be turned by what its header says.
+        frames = [np.asarray(_upright(self._files.pop(0).decode())) for _ in self._sizes]
+        _require_one_size([(frame.shape[1], frame.shape[0]) for frame in frames])
+        return np.stack(frames)
 
 
-def decode_rectangles(
-    images: Sequence[bytes], fields: Sequence[str], check: Check = lambda: None
-) -> UInt8[np.ndarray, "K height width 3"]:
-    """Decode the frames of one request at their own size, which need not be square.
-
-    Raises
-    ------
-    NotAnImageError, BrokenImageError, InvalidValueError
-        With the field at fault.
-    """
-    opened = [_open(data, f, check, square=False) for data, f in zip(images, fields, strict=True)]
-    # The pixels decide: a photo may be turned by what its header says.
-    frames = [np.asarray(_load(opened.pop(0), field)) for field in fields]
-    if len({frame.shape for frame in frames}) > 1:
-        sizes = ", ".join(f"{frame.shape[1]} x {frame.shape[0]}" for frame in frames)
-        raise InvalidValueError.at("frames", sizes, "frames of one size")
-    return np.stack(frames)
+def _require_one_size(sizes: Sequence[tuple[int, int]]) -> None:
+    if len(set(sizes)) > 1:
+        value = ", ".join(f"{width} x {height}" for width, height in sizes)
+        raise InvalidValueError.at("frames", value, "frames of one size")
 
 
-def all_square(images: Sequence[bytes]) -> bool:
-    """Tell from the headers whether every frame is a square; files without a header count as one.
+class _File:
+    """An image file whose header has been read."""
 
-    Their decoding refuses them with a message.
-    """
-    try:
-        opened = [_open(data, "frames", lambda: None, square=False) for data in images]
-    except (BrokenImageError, InvalidValueError, NotAnImageError):
-        return True
-    return all(image.width == image.height for image in opened)
+    def __init__(self, data: bytes, field: str, check: Check) -> None:
+        self.field = field
+        self._data, self._check = data, check
+        self.image = _open(data, field, check)
+        self.passes = data.count(START_OF_SCAN) if isinstance(self.image, _Jpeg) else 1
+        """Times that the decoder passes over all pixels."""
+
+    def decode(self) -> Image.Image:
+        """Decode the pixels; a JPEG file may lack its last marker, but no pixel."""
+        try:
+            self.image.load()
+        except DECODER_ERRORS as error:
+            whole = [_File(data, self.field, self._check) for data in completed(self._data)]
+            try:
+                for file in whole:
+                    file.image.load()
+            except DECODER_ERRORS:
+                whole = []
+            if not whole or any(file.image != whole[0].image for file in whole):
+                value = f"{self.image.format} of {self.image.width} x {self.image.height}"
+                expected = "a whole image, this one is cut off"
+                raise BrokenImageError.at(self.field, value, expected) from error
+            return whole[0].image
+        return self.image
 
 
-def _open(data: bytes, field: str, check: Check, *, square: bool = True) -> ImageFile.ImageFile:
+def _open(data: bytes, field: str, check: Check) -> ImageFile.ImageFile:
     """Read the header alone. Pillow's own ``open`` would refuse large images without their size."""
     reader = next((READERS[start] for start in READERS if data.startswith(start)), None)
     if reader is None or (reader is WebPImageFile and data[8:12] != b"WEBP"):
@@ -185,19 +232,13 @@ def _open(data: bytes, field: str, check: Check, *, square: bool = True) -> Imag
     source.header = False
     image.decodermaxblock = DECODED_BYTES
     width, height = image.size
-    in_range = all(MIN_FRAME_SIZE <= side <= MAX_FRAME_SIZE for side in image.size)
-    if not in_range or (square and width != height):
-        raise InvalidValueError.at(field, f"{width} x {height}", SIDES if square else RECTANGLES)
+    if not all(MIN_FRAME_SIZE <= side <= MAX_FRAME_SIZE for side in image.size):
+        expected = SIDES if width == height else RECTANGLES
+        raise InvalidValueError.at(field, f"{width} x {height}", expected)
     return image
 
 
-def _load(image: ImageFile.ImageFile, field: str) -> Image.Image:
-    """Decode the pixels, upright and in RGB."""
-    try:
-        image.load()
-    except DECODER_ERRORS as error:
-        value = f"{image.format} of {image.width} x {image.height}"
-        raise BrokenImageError.at(field, value, "a whole image, this one is cut off") from error
+def _upright(image: Image.Image) -> Image.Image:
     turn = TURNS.get(_orientation(image.info))
     return to_rgb(image if turn is None else image.transpose(turn))
 

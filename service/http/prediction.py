@@ -6,6 +6,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.image_sequence import numbering_warnings
 from rollcast.manifest import Manifest
 from rollcast.ood import frame_stats
 from rollcast.patches import letterboxed
@@ -29,7 +30,7 @@ from rollcast.schemas import (
 )
 from service.errors import InvalidValueError
 from service.http.found_balls import RequestBalls
-from service.http.image_decoding import Check, all_square, decode_frames, decode_rectangles
+from service.http.image_decoding import Check, OpenedFrames
 from service.inference.ball_predictor import BallPredictor
 from service.inference.deadlines import CancellationToken
 from service.inference.rollout import CovarianceFloor, Forecast, Predictor, assemble
@@ -39,7 +40,8 @@ from service.observability.tracing import Stages
 from service.serving.forecast_warnings import doubts, left_frame, replaced, unfamiliar
 from service.serving.registry import ModelQuery, Registry
 
-Parser = Callable[[Check], PredictRequest]
+Parser = Callable[[Check], tuple[PredictRequest, list[str]]]
+"""Returns the request and the names of its files, as far as they are given."""
 
 
 class BallDetails(NamedTuple):
@@ -85,15 +87,17 @@ class _Forecast:
         self._horizon = 0
         self._doubts: list[str] = []
 
-    def begin(self) -> DecodedRequest:
-        """Choose the model and decode the frames.
+    def begin(self) -> DecodedRequest | Callable[[], DecodedRequest]:
+        """Choose the model and decode the frames, or return what decodes them if that is slow.
 
         Raises
         ------
         service.errors.ServiceError
             When the request cannot be served.
         """
-        self.request = request = self._parse(self._token.raise_if_cancelled)
+        self.request, names = self._parse(self._token.raise_if_cancelled)
+        request = self.request
+        self._doubts = numbering_warnings(names)
         self._stages.next()
         final_frame = request.final_frame is not None
         prompted = request.balls is not None
@@ -101,7 +105,8 @@ class _Forecast:
         if request.objects not in (None, objects):
             expected = f"{objects}, the number of balls"
             raise InvalidValueError.at("objects", request.objects, expected)
-        square = request.model != AUTO_MODEL or all_square(request.frames)
+        opened = _open(request, self._token.raise_if_cancelled)
+        square = request.model != AUTO_MODEL or opened.is_square
         query = ModelQuery(
             request.model, objects, request.scenario, final_frame, prompted, square=square
         )
@@ -109,46 +114,58 @@ class _Forecast:
         self.manifest = predictor.manifest
         self._horizon = _horizon(request, predictor.manifest)
         self._rate = request.frame_rate or predictor.manifest.frame_rate_hz
-        if isinstance(predictor, BallPredictor):
-            return self._begin_with_balls(predictor, objects)
-        frames, side = _decode(request, self._token.raise_if_cancelled)
-        self._size = (side, side)
-        other = self._warn(predictor, frames)
-        if isinstance(other, BallPredictor):
-            return self._begin_with_balls(other, objects)
-        predictor = other
+        if not isinstance(predictor, BallPredictor):
+            opened.require_squares()
+
+        def decode() -> DecodedRequest:
+            if isinstance(predictor, BallPredictor):
+                return self._with_balls(predictor, opened, objects)
+            return self._decoded(predictor, opened, objects)
+
+        return decode if opened.slow else decode()
+
+    def _decoded(
+        self, predictor: Predictor, opened: OpenedFrames, objects: int | None
+    ) -> DecodedRequest:
+        """Decode frames for a model for a fixed number of balls, which another may replace."""
+        self._size = (opened.side, opened.side)
+        frames = opened.decode()
+        seen = frame_stats(frames)
+        unlike = unfamiliar(predictor, seen)
+        self._doubts += [*doubts(predictor, self._horizon, self._rate, seen), *unlike]
+        if unlike and self.request.model == AUTO_MODEL:
+            other = self._registry.for_unfamiliar_frames(predictor)
+            if other is not None:
+                self._doubts.append(replaced(predictor.manifest, other.manifest))
+                self.manifest = other.manifest
+                if isinstance(other, BallPredictor):
+                    whole = _open(self.request, self._token.raise_if_cancelled)
+                    return self._found(other, whole.decode_whole(), objects)
+                predictor = other
         source = predictor.manifest.covariance.source
         colors = predictor.manifest.colors
         self._details = [BallDetails(ball, color, source) for ball, color in enumerate(colors)]
         self._stages.next()
         return DecodedRequest(predictor, frames[None], self._horizon)
 
-    def _warn(self, chosen: Predictor, frames: np.ndarray) -> Predictor:
-        """Collect the forecast's warnings; return the model that answers instead, if one does."""
-        seen = frame_stats(frames)
-        unlike = unfamiliar(chosen, seen)
-        self._doubts = [*doubts(chosen, self._horizon, self._rate, seen), *unlike]
-        other = None
-        if unlike and self.request.model == AUTO_MODEL:
-            other = self._registry.for_unfamiliar_frames(chosen)
-        if other is None:
-            return chosen
-        self.manifest = other.manifest
-        self._doubts.append(replaced(chosen.manifest, other.manifest))
-        return other
+    def _with_balls(
+        self, predictor: BallPredictor, opened: OpenedFrames, objects: int | None
+    ) -> DecodedRequest:
+        """Decode frames for a model for any number of balls."""
+        frames = opened.decode_whole()
+        seen = frame_stats(letterboxed(frames, NETWORK_FRAME_SIZE))
+        self._doubts += doubts(predictor, self._horizon, self._rate, seen)
+        return self._found(predictor, frames, objects)
 
-    def _begin_with_balls(self, predictor: BallPredictor, objects: int | None) -> DecodedRequest:
+    def _found(
+        self, predictor: BallPredictor, frames: np.ndarray, objects: int | None
+    ) -> DecodedRequest:
         """Find the balls in the frames as they were sent."""
         request = self.request
-        check = self._token.raise_if_cancelled
-        frames = decode_rectangles(request.frames, _frame_fields(request), check)
         self._size = (frames.shape[2], frames.shape[1])
-        if not self._doubts:
-            self._warn(predictor, letterboxed(frames, NETWORK_FRAME_SIZE))
         self._stages.next()
-        self._balls = RequestBalls(predictor, frames, request.balls, objects)
+        self._balls = balls = RequestBalls(predictor, frames, request.balls, objects)
         source = predictor.manifest.covariance.source
-        balls = self._balls
         levels = balls.on_level_ground if request.model == AUTO_MODEL else [False] * balls.count
         told = zip(balls.colors, balls.scores, balls.seen, balls.warnings, levels, strict=True)
         self._details = [
@@ -157,8 +174,7 @@ class _Forecast:
             )
             for ball, (color, score, seen, warnings, level) in enumerate(told)
         ]
-        rollout = predictor.rollout(self._balls.count)
-        return DecodedRequest(rollout, self._balls.found.packed, self._horizon)
+        return DecodedRequest(predictor.rollout(balls.count), balls.found.packed, self._horizon)
 
     def step(self, index: int, outputs: Outputs) -> None:  # noqa: ARG002
         """Note when the first step is there: the frames are encoded."""
@@ -339,15 +355,11 @@ def _horizon(request: PredictRequest, manifest: Manifest) -> int:
     return fixed
 
 
-def _decode(request: PredictRequest, check: Check) -> tuple[np.ndarray, int]:
-    fields = _frame_fields(request)
+def _open(request: PredictRequest, check: Check) -> OpenedFrames:
+    fields = [f"frames[{index}]" for index in range(len(request.frames))]
     if request.final_frame is None:
-        return decode_frames(request.frames, fields, check)
-    return decode_frames([*request.frames, request.final_frame], [*fields, "final_frame"], check)
-
-
-def _frame_fields(request: PredictRequest) -> list[str]:
-    return [f"frames[{index}]" for index in range(len(request.frames))]
+        return OpenedFrames(request.frames, fields, check)
+    return OpenedFrames([*request.frames, request.final_frame], [*fields, "final_frame"], check)
 
 
 def _objects(

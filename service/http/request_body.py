@@ -179,7 +179,7 @@ def parse_form(
     files: frozenset[str],
     lists: frozenset[str],
     check: Callable[[], None],
-) -> B:
+) -> tuple[B, list[str]]:
     """Parse and validate a multipart body; text parts become numbers where a number is due.
 
     Parameters
@@ -196,6 +196,11 @@ def parse_form(
         Names of the parts that may come several times.
     check
         Called now and then; what it raises ends the parsing.
+
+    Returns
+    -------
+    tuple
+        The request, and the file names of the parts that may come several times.
 
     Raises
     ------
@@ -230,7 +235,7 @@ def parse_form(
         raise MalformedBodyError(f"The body is not multipart: {error}.") from error
     if not form.ended:
         raise MalformedBodyError("The body is not multipart: its last boundary is missing.")
-    return _validate(model, form.data, strict=False)
+    return _validate(model, form.data, strict=False), form.file_names
 
 
 class _Form:
@@ -242,11 +247,14 @@ class _Form:
         Values by name: bytes of files, texts, lists of them.
     ended
         Whether the last boundary has been read.
+    file_names
+        Names of the files in the parts that may come several times.
     """
 
     def __init__(self, known: frozenset[str], files: frozenset[str], lists: frozenset[str]) -> None:
         self.data: dict[str, Any] = {}
         self.ended = False
+        self.file_names: list[str] = []
         self._known = known
         self._files = files
         self._lists = lists
@@ -293,6 +301,8 @@ class _Form:
             raise InvalidValueError.at(name, "a part", self._instead_of(name))
         if name in self.data and name not in self._lists:
             raise InvalidValueError.at(name, "several parts", "one part of this name")
+        if name in self._lists and b"filename" in options:
+            self.file_names.append(options[b"filename"].decode("utf-8", "backslashreplace"))
 
     def _instead_of(self, name: str) -> str:
         base, bracket, _ = name.partition("[")

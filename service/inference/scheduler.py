@@ -4,6 +4,8 @@ A thread takes what is there in this order: answers to write, frames to encode, 
 Threads share the waiting frames out, a few in one batch. Whoever leads a model's rollout steps all
 requests that have joined it, so while frames wait the next rollout grows, and the price of a step
 is shared. A request joins and leaves between two steps.
+
+Large images are decoded in threads of their own: they never keep small requests waiting.
 """
 
 import math
@@ -13,6 +15,7 @@ from collections import defaultdict, deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from queue import SimpleQueue
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -46,8 +49,8 @@ class Job(Protocol[T_co]):
     Whatever a method raises becomes the answer.
     """
 
-    def begin(self) -> DecodedRequest:
-        """Choose the model and decode the frames."""
+    def begin(self) -> DecodedRequest | Callable[[], DecodedRequest]:
+        """Choose the model and decode the frames, or return what decodes them if that is slow."""
         ...
 
     def step(self, index: int, outputs: Outputs) -> None:
@@ -69,22 +72,28 @@ class _Request(Generic[T]):
     rows: int = 0
     horizon: int = 0
     steps: int = 0
+    decoded: DecodedRequest | None = None
+    slow: Callable[[], DecodedRequest] | None = None
+    """Decodes the frames, in a thread for large images."""
 
     @property
     def ended(self) -> bool:
         """Whether it has all its steps."""
         return self.steps == self.horizon
 
-    def begin(self) -> DecodedRequest | None:
-        """Begin; None when that was its end."""
-        seen: list[DecodedRequest] = []
+    def decode(self, how: Callable[[], DecodedRequest | Callable[[], DecodedRequest]]) -> None:
+        """Decode the frames, or learn that it is slow; a failure is this request's answer."""
 
-        def begin() -> None:
+        def decode() -> None:
             self.token.raise_if_cancelled()
-            seen.append(self.job.begin())
-            self.rows, self.horizon = len(seen[0].frames), seen[0].horizon
+            decoded = how()
+            if isinstance(decoded, DecodedRequest):
+                self.decoded = decoded
+                self.rows, self.horizon = len(decoded.frames), decoded.horizon
+            else:
+                self.slow = decoded
 
-        return seen[0] if self.fail_safely(begin) else None
+        self.fail_safely(decode)
 
     def take(self, outputs: Outputs) -> bool:
         """Take the outputs of the next step; return whether that went well."""
@@ -226,7 +235,12 @@ class Scheduler:
             threading.Thread(target=self._work, name=f"forecast-{index}", daemon=True)
             for index in range(threads)
         ]
-        for thread in self._threads:
+        self._slow: SimpleQueue[_Request[Any] | None] = SimpleQueue()
+        self._slow_threads = [
+            threading.Thread(target=self._decode_slowly, name=f"decode-{index}", daemon=True)
+            for index in range(math.ceil(threads / 2))
+        ]
+        for thread in (*self._threads, *self._slow_threads):
             thread.start()
 
     @property
@@ -261,8 +275,10 @@ class Scheduler:
             self._wake(len(self._threads))
         for member in dropped:
             member.future.cancel()
+        for _ in self._slow_threads:
+            self._slow.put(None)
         ends = time.monotonic() + MAX_CLOSE_S
-        for thread in self._threads:
+        for thread in (*self._threads, *self._slow_threads):
             thread.join(max(0, ends - time.monotonic()))
 
     def _wake(self, threads: int) -> None:
@@ -305,7 +321,21 @@ class Scheduler:
         """Take a thread's share of what waits, under the lock, but not more than there is room."""
         share = math.ceil(len(self._waiting) / len(self._threads))
         taken = [self._waiting.popleft() for _ in range(min(share, ENCODED_TOGETHER, room))]
-        return [member for member in taken if member.future.set_running_or_notify_cancel()]
+        return [
+            member
+            for member in taken
+            if member.decoded is not None or member.future.set_running_or_notify_cancel()
+        ]
+
+    def _decode_slowly(self) -> None:
+        """Decode large images, of one request after the other."""
+        while (member := self._slow.get()) is not None:
+            assert member.slow is not None
+            member.decode(member.slow)
+            if member.decoded is not None:
+                with self._lock:
+                    self._waiting.appendleft(member)
+                    self._wake(1)
 
     def _begin(self, members: list[_Request[Any]], two_cores: bool) -> None:
         """Encode the frames of some requests, those for one model in one batch.
@@ -314,9 +344,13 @@ class Scheduler:
         """
         by_model: dict[Predictor, list[tuple[_Request[Any], DecodedRequest]]] = defaultdict(list)
         for member in members:
-            seen = member.begin()
+            if member.decoded is None:
+                member.decode(member.job.begin)
+            seen, member.decoded = member.decoded, None
             if seen is not None:
                 by_model[seen.predictor].append((member, seen))
+            elif member.slow is not None:
+                self._slow.put(member)
         for predictor, group in by_model.items():
             together = _Batch([member for member, _ in group], {})
             parts = [seen.frames for _, seen in group]

@@ -28,8 +28,11 @@ NOT_RUN = {
     ("api-python.md", "pip install .                                # the client"): INDEX,
     ("deployment.md", "make serve"): SERVER,
     ("deployment.md", "export ROLLCAST_KEYS_FILE=keys.json"): SERVER,
-    ("deployment.md", "docker build -f docker/service.Dockerfile -t rollcast-service ."): DOCKER,
-    ("deployment.md", "kubectl create secret generic rollcast-keys --from-file=keys.json"): CLUSTER,
+    (
+        "deployment.md",
+        "docker build -f docker/service.Dockerfile -t rollcast-service:0.1.0 .",
+    ): DOCKER,
+    ("deployment.md", "mkdir keys"): DOCKER,
     ("deployment.md", "serve run service.process.ray_serve:application"): CLUSTER,
     ("research.md", "python -m training simulate hemisphere --scenes 1000 --split training"): HOURS,
     (

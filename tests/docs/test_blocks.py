@@ -9,7 +9,7 @@ import pytest
 from typer.main import get_command
 
 from tests.docs.blocks import HOURS, NOT_RUN, ROOT, blocks, notebook_code
-from training.__main__ import app as training_app
+from training.cli import application
 
 BLOCKS = blocks()
 RUN = [block for block in BLOCKS if block.key not in NOT_RUN]
@@ -69,7 +69,7 @@ def test_what_cannot_run_is_well_formed(block):
 
 def is_understood(words: list[str]) -> None:
     """Parse the arguments of a training command without running it."""
-    group = get_command(training_app)
+    group = get_command(application())
     with group.make_context("training", words, resilient_parsing=True) as context:
         name, command, rest = group.resolve_command(context, words)
     command.make_context(name, rest).close()

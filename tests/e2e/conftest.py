@@ -3,9 +3,11 @@
 import re
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -68,6 +70,33 @@ def held(address: str) -> int:
     return int(float(found.group(1)))
 
 
+@contextmanager
+def long_forecasts(address: str, count: int) -> Iterator[list[Future[int]]]:
+    """Ask for forecasts of LONGEST_HORIZON steps; yield their numbers of steps once all are held.
+
+    They are asked for at one moment, and again if some have ended before the last was held.
+    """
+    with ExitStack() as stack:
+        clients = [stack.enter_context(Client(address)) for _ in range(count)]
+        frames = clients[0].simulate("hemisphere", seed=1, steps=4).frames
+        for client in clients:
+            client.health()  # from now on its connection is open
+        threads = stack.enter_context(ThreadPoolExecutor(count))
+
+        def forecast(client: Client, together: threading.Barrier) -> int:
+            together.wait()
+            return len(client.predict(frames, model="dispnet", horizon=LONGEST_HORIZON).times_s)
+
+        for _ in range(5):
+            together = threading.Barrier(count)
+            answers = [threads.submit(forecast, client, together) for client in clients]
+            while not all(answer.done() for answer in answers):
+                if held(address) == count:
+                    yield answers
+                    return
+        raise AssertionError(f"{count} forecasts were never held at one moment")
+
+
 def assert_same_forecasts(address: str, other: str, asked: dict[str, object]) -> None:
     """Ask two services for a scene and its forecast, up to what the model was trained to."""
     about = {name: value for name, value in asked.items() if name != "model"}
@@ -88,6 +117,9 @@ ASKED = [
     {"model": "auto", "scenario": "ellipsoid", "objects": 2},
 ]
 """Forecasts that are the same wherever the service runs."""
+
+
+LONGEST_HORIZON = 1000
 
 
 @contextmanager

@@ -1,297 +1,41 @@
 """Attacks on a real server process, while good requests go on.
 
 In every one no good request is lost, the process stays alive and answers, its memory comes back,
-and an order to stop is obeyed in time although the attack goes on.
+and an order to stop is obeyed in time although the attack goes on. What the good requests wait
+meanwhile needs a machine that does nothing else: ``make faults``.
 """
 
-import base64
-import contextlib
-import functools
-import gzip
-import io
-import json
-import re
-import shutil
-import socket
-import subprocess
-import threading
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from pathlib import Path
-from urllib.parse import urlsplit
+from collections.abc import Iterator
 
-import httpx2
 import pytest
-from PIL import Image
 
-from rollcast.client import Client
-from tests.e2e.conftest import ROOT, start_service, wait_until_ready
+from tests.e2e.attacks import (
+    ATTACKS,
+    STOP_TIMEOUT_S,
+    Service,
+    good_requests,
+    one_model,
+    repeated,
+    started,
+)
 
-MODEL = "fieldnet"
-BUDGET = 64 * 2**20
-STOP_TIMEOUT_S = 5
 SETTLED_S = 20
 """Seconds in which memory may come back."""
 ALLOWED_GROWTH = 1.05
 SLACK_BYTES = 24 * 2**20
 """Memory that the allocator may keep for later, beside the share that is allowed."""
-JSON = {"content-type": "application/json"}
-SIMULATION = {"scenario": "heightfield", "seed": 1, "steps": 1000, "textured": True}
-
-
-@dataclass
-class Service:
-    """A running service and what is asked of it."""
-
-    address: str
-    process: subprocess.Popen[str]
-    stopped: threading.Event = field(default_factory=threading.Event)
-
-    def post(self, path: str, content: bytes, timeout: float = 60, **headers: str) -> int:
-        """Post a body; return the status, or 0 when there was no answer."""
-        named = {name.replace("_", "-"): value for name, value in headers.items()}
-        with contextlib.suppress(httpx2.HTTPError):
-            return httpx2.post(
-                f"{self.address}{path}", content=content, headers=JSON | named, timeout=timeout
-            ).status_code
-        return 0
-
-    def connect(self) -> socket.socket:
-        """Open a connection."""
-        parts = urlsplit(self.address)
-        return socket.create_connection((parts.hostname, parts.port), timeout=30)
-
-    @property
-    def memory(self) -> int:
-        """Resident bytes of the process and all that it has started."""
-        return sum(resident(pid) for pid in family(self.process.pid))
-
-
-def family(pid: int) -> list[int]:
-    with contextlib.suppress(OSError):
-        threads = list(Path(f"/proc/{pid}/task").iterdir())
-        children = [name for one in threads for name in (one / "children").read_text().split()]
-        return [pid, *(member for child in children for member in family(int(child)))]
-    return []
-
-
-def resident(pid: int) -> int:
-    with contextlib.suppress(OSError):
-        found = re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())
-        return 1024 * int(found.group(1)) if found else 0
-    return 0
-
-
-def frames_body(*images: bytes) -> bytes:
-    return json.dumps({"frames": [base64.b64encode(image).decode() for image in images]}).encode()
-
-
-@functools.cache
-def progressive(side: int, scans: int) -> bytes:
-    """A progressive JPEG file that repeats its last scan: half a kilobyte or two each time."""
-    buffer = io.BytesIO()
-    Image.new("RGB", (side, side), (90, 120, 60)).save(buffer, "JPEG", progressive=True)
-    data = buffer.getvalue()
-    last = data[data.rindex(b"\xff\xda") : -2]
-    return data[:-2] + last * (scans - data.count(b"\xff\xda")) + b"\xff\xd9"
-
-
-# --- Attacks: each returns the statuses that it has seen -----------------------------------------
-
-
-def many_names(service: Service) -> list[int]:
-    names = ", ".join(f'"n{index}": 1' for index in [*range(20_000), 0])
-    body = f"{{{names}}}".encode()
-    return [service.post(path, body) for path in ("/predict", "/simulate") for _ in range(3)]
-
-
-def empty_lists(service: Service) -> list[int]:
-    body = b"[" + b"[]," * 5_000_000 + b"[]]"
-    paths = ("/predict", "/simulate", f"/v2/models/{MODEL}/infer")
-    return [service.post(path, body) for path in paths]
-
-
-def nested_lists(service: Service) -> list[int]:
-    return [service.post("/predict", b"[" * 4_000_000) for _ in range(3)]
-
-
-def unknown_fields(service: Service) -> list[int]:
-    body = json.dumps({f"{index}{'x' * 7000}": "y" * 1000 for index in range(900)}).encode()
-    answer = httpx2.post(f"{service.address}/predict", content=body, headers=JSON, timeout=60)
-    assert len(answer.content) < 10_000
-    return [answer.status_code]
-
-
-def wrong_velocities(service: Service) -> list[int]:
-    scene = {"velocities_m_s": [["a", "b", "c"]] * 250_000}
-    body = json.dumps({"scenario": "hemisphere", "seed": 1, "scene": scene}).encode()
-    return [service.post("/simulate", body) for _ in range(3)]
-
-
-def a_thousand_scans(service: Service) -> list[int]:
-    return [service.post("/predict", frames_body(*[progressive(1024, 1000)] * 4))]
-
-
-def slow_images_of_clients_that_leave(service: Service) -> list[int]:
-    body = frames_body(*[progressive(4096, 30)] * 4)
-    return [service.post("/predict", body, timeout=0.5) for _ in range(3)]
-
-
-def many_chunks(service: Service) -> list[int]:
-    buffer = io.BytesIO()
-    Image.new("RGB", (128, 128)).save(buffer, "PNG")
-    image = buffer.getvalue()
-    chunk = b"\0\0\0\0abCd\x54\x01\xe6\x8d"
-    return [service.post("/predict", frames_body(*[image[:33] + chunk * 200_000 + image[33:]] * 4))]
-
-
-def many_parts(service: Service) -> list[int]:
-    part = b'--b\r\nContent-Disposition: form-data; name="frames"\r\n\r\nx\r\n'
-    kind = "multipart/form-data; boundary=b"
-    return [service.post("/predict", part * 200_000, content_type=kind)]
-
-
-def compressed_bomb(service: Service) -> list[int]:
-    body = gzip.compress(bytes(50_000_000))
-    return [service.post("/predict", body, content_encoding="gzip")]
-
-
-def endless_trailers(service: Service) -> list[int]:
-    head = (
-        b"POST /predict HTTP/1.1\r\nHost: a\r\nContent-Type: application/json\r\n"
-        b"Transfer-Encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\n"
-    )
-    with service.connect() as connection:
-        connection.sendall(head)
-        with contextlib.suppress(OSError):
-            for index in range(20_000):
-                connection.sendall(b"x-%d: %s\r\n" % (index, b"y" * 10_000))
-            pytest.fail("the service has taken 200 MB of trailers")
-    return []
-
-
-def bodies_that_do_not_end(service: Service) -> list[int]:
-    head = b"POST /predict HTTP/1.1\r\nHost: a\r\nContent-Type: application/json\r\n"
-    piece = b" " * 2**20
-    with contextlib.ExitStack() as stack:
-        connections = [stack.enter_context(service.connect()) for _ in range(16)]
-        for connection in connections:
-            connection.sendall(head + b"Content-Length: 60000000\r\n\r\n")
-            connection.settimeout(2)
-        before, most = service.memory, 0
-        for _ in range(20):
-            for connection in connections:
-                with contextlib.suppress(OSError):  # it has been given up
-                    connection.sendall(piece)
-            most = max(most, service.memory)
-        assert most - before < 3 * BUDGET
-        service.stopped.wait(0.5)
-    return []
-
-
-def simulations_of_clients_that_leave(service: Service) -> list[int]:
-    body = json.dumps(SIMULATION).encode()
-    for _ in range(4):
-        service.post("/simulate", body, timeout=0.3)
-    began = time.monotonic()
-    small = json.dumps({"scenario": "hemisphere", "seed": 1, "steps": 4}).encode()
-    status = service.post("/simulate", small)
-    assert time.monotonic() - began < 30, "the simulations of clients that have left go on"
-    return [] if status == 200 else [status]
-
-
-def long_names(service: Service) -> list[int]:
-    paths = [f"/v2/repository/models/{chr(97 + index) * 60_000}/load" for index in range(24)]
-    with ThreadPoolExecutor(8) as pool:
-        return list(pool.map(lambda path: service.post(path, b""), paths))
-
-
-ATTACKS: dict[str, Callable[[Service], list[int]]] = {
-    attack.__name__: attack
-    for attack in (
-        many_names,
-        empty_lists,
-        nested_lists,
-        unknown_fields,
-        wrong_velocities,
-        a_thousand_scans,
-        slow_images_of_clients_that_leave,
-        many_chunks,
-        many_parts,
-        compressed_bomb,
-        endless_trailers,
-        bodies_that_do_not_end,
-        simulations_of_clients_that_leave,
-        long_names,
-    )
-}
 
 
 @pytest.fixture(scope="module")
-def models(tmp_path_factory) -> Path:
-    """A folder with one model: a service with one starts sooner."""
-    folder = tmp_path_factory.mktemp("models")
-    shutil.copytree(ROOT / "models" / MODEL, folder / MODEL)
-    return folder
-
-
-@contextlib.contextmanager
-def started(models: Path) -> Iterator[Service]:
-    process, address = start_service(
-        ROLLCAST_MODELS_DIR=str(models),
-        ROLLCAST_PROCESSES="1",
-        ROLLCAST_LOG_REQUESTS="false",
-        ROLLCAST_MAX_TOTAL_BODY_BYTES=str(BUDGET),
-        ROLLCAST_GRACEFUL_SHUTDOWN_TIMEOUT_S=str(STOP_TIMEOUT_S),
-    )
-    try:
-        with Client(address) as client:
-            wait_until_ready(client)
-        yield Service(address, process)
-    finally:
-        process.kill()
-        process.communicate()
+def models(tmp_path_factory):
+    return one_model(tmp_path_factory.mktemp("models"))
 
 
 @pytest.fixture(scope="module")
 def service(models) -> Iterator[Service]:
     with started(models) as service:
         yield service
-
-
-@contextlib.contextmanager
-def good_requests(service: Service) -> Iterator[list[str]]:
-    """Ask for forecasts and health until the block is left; yield what went wrong."""
-    wrong: list[str] = []
-    ended = threading.Event()
-
-    def ask() -> None:
-        with Client(service.address, retries=0, timeout_s=60) as client:
-            frames = client.simulate("hemisphere", seed=3, steps=4).frames
-            while not ended.wait(0.05):
-                try:
-                    client.predict(frames, horizon=5)
-                except Exception as error:  # whatever it is, it is not an answer
-                    wrong.append(repr(error))
-
-    def look() -> None:
-        while not ended.wait(0.05):
-            try:
-                httpx2.get(f"{service.address}/health/live", timeout=10).raise_for_status()
-            except httpx2.HTTPError as error:
-                wrong.append(f"health: {error!r}")
-
-    threads = [threading.Thread(target=target) for target in (ask, look)]
-    for thread in threads:
-        thread.start()
-    try:
-        yield wrong
-    finally:
-        ended.set()
-        for thread in threads:
-            thread.join()
 
 
 @pytest.fixture(scope="module")
@@ -305,9 +49,9 @@ def resting(service) -> int:
 
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_no_good_request_is_lost_and_memory_comes_back(service, resting, attack):
-    with good_requests(service) as wrong:
+    with good_requests(service) as good:
         statuses = ATTACKS[attack](service)
-    assert not wrong
+    assert not good.lost
     assert all(status == 0 or 400 <= status < 500 for status in statuses), statuses
     deadline = time.monotonic() + SETTLED_S
     allowed = ALLOWED_GROWTH * resting + SLACK_BYTES
@@ -317,19 +61,8 @@ def test_no_good_request_is_lost_and_memory_comes_back(service, resting, attack)
 
 
 def test_it_stops_in_time_while_all_of_them_go_on(models):
-    with started(models) as service, ThreadPoolExecutor(len(ATTACKS)) as pool:
-
-        def again(attack: Callable[[Service], list[int]]) -> None:
-            while not service.stopped.is_set():
-                with contextlib.suppress(Exception):
-                    attack(service)
-
-        for attack in ATTACKS.values():
-            pool.submit(again, attack)
+    with started(models) as service, repeated(service, *ATTACKS):
         time.sleep(3)
         service.process.terminate()
-        try:
-            # A machine that does other things needs its time to unwind, too.
-            service.process.wait(STOP_TIMEOUT_S + 15)
-        finally:
-            service.stopped.set()
+        # A machine that does other things needs its time to unwind, too.
+        service.process.wait(STOP_TIMEOUT_S + 15)

@@ -2,17 +2,21 @@
 
 import signal
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
-import numpy as np
 import pytest
 
 from rollcast.client import Client
 from rollcast.errors import ServerError, UnreachableError
-from tests.e2e.conftest import held, start_service, stop_service, wait_until_ready
+from tests.e2e.conftest import (
+    LONGEST_HORIZON,
+    long_forecasts,
+    start_service,
+    stop_service,
+    wait_until_ready,
+)
 
-LONGEST_HORIZON = 1000
+REQUESTS = 12
 
 
 def health(client: Client) -> Iterator[str]:
@@ -39,23 +43,12 @@ def test_it_stops_when_it_is_told_to(order):
 
 def test_what_was_accepted_is_answered_before_it_stops():
     process, address = start_service(ROLLCAST_GRACEFUL_SHUTDOWN_TIMEOUT_S="300")
-    requests = 12
-
-    def forecast(frames: np.ndarray) -> int:
-        with Client(address) as client:
-            return client.predict(frames, model="dispnet", horizon=LONGEST_HORIZON).positions.shape[
-                1
-            ]
-
-    with Client(address) as client, ThreadPoolExecutor(requests) as threads:
+    with Client(address) as client:
         wait_until_ready(client)
-        frames = client.simulate("hemisphere", seed=1, steps=4).frames
-        answers = [threads.submit(forecast, frames) for _ in range(requests)]
-        while held(address) < requests:
-            assert not all(answer.done() for answer in answers)
-        process.send_signal(signal.SIGTERM)
-        said = set(health(client))
-        assert [answer.result() for answer in answers] == [LONGEST_HORIZON] * requests
+        with long_forecasts(address, REQUESTS) as answers:
+            process.send_signal(signal.SIGTERM)
+            said = set(health(client))
+            assert [answer.result() for answer in answers] == [LONGEST_HORIZON] * REQUESTS
     assert said <= {"ready", "draining"}
     assert "draining" in said
     assert stop_service(process) in {0, -signal.SIGTERM}

@@ -1,7 +1,8 @@
 """``make faults``: the real service under load while something goes wrong, several times each.
 
-Prints a row a fault, as in ``docs/reliability.md``; exits with 1 when a request had no definite end
-or the service was not ready again by itself. Needs root for the full disk (a small tmpfs) and
+Prints a row a fault and one an attack, as in ``docs/reliability.md``; exits with 1 when a request
+had no definite end, the service was not ready again by itself, or an attack cost good requests more
+than is promised. Needs root for the full disk (a small tmpfs) and
 Debian's libfaketime for the clock; without them the row says so.
 """
 
@@ -29,6 +30,7 @@ from rollcast.manifest import ENCODER_FILE, STEP_FILE
 from tests.bench.harness import answering, service
 from tests.bench.loop import MODEL, ROOT
 from tests.e2e.conftest import start_service, wait_until_ready
+from tests.faults import attacks
 from tests.faults.load import HEADER, READY_WITHIN_S, Load, Report
 
 Fault = Callable[[Report, int], Awaitable[None]]
@@ -402,12 +404,19 @@ FAULTS: dict[str, tuple[Fault, int]] = {
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="+", metavar="WORD", help="faults with one of these words")
+    parser.add_argument("--only", nargs="+", metavar="WORD", help="those with one of these words")
+    parser.add_argument("--table", choices=("faults", "attacks"), help="one of the two tables")
     given = parser.parse_args()
+    well = [_faults(given.only)] if given.table != "attacks" else []
+    well += [attacks.main(given.only)] if given.table != "faults" else []
+    return 0 if all(well) else 1
+
+
+def _faults(only: list[str] | None) -> bool:
     print(HEADER, flush=True)
     well = True
     for name, (fault, times) in FAULTS.items():
-        if given.only and not any(word in name for word in given.only):
+        if only and not any(word in name for word in only):
             continue
         report = Report(name)
         try:
@@ -417,7 +426,7 @@ def main() -> int:
             continue
         print(report.row(), flush=True)
         well = well and report.well
-    return 0 if well else 1
+    return well
 
 
 if __name__ == "__main__":

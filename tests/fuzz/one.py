@@ -12,9 +12,9 @@ from pathlib import Path
 import atheris
 
 with atheris.instrument_imports(include=["PIL", "python_multipart", "rollcast", "service"]):
-    from tests.fuzz.targets import TARGETS, dictionary, seeds
+    from tests.fuzz.targets import TARGETS, Cost, dictionary, seeds
 
-REPORTED_EVERY = 500
+REPORTED_EVERY = 100
 
 
 def resident_mib() -> float:
@@ -42,6 +42,8 @@ class Counted:
     def _report(self) -> None:
         self._memory.append((self._calls, round(resident_mib(), 1)))
         self._path.write_text(json.dumps(self._memory))
+        if isinstance(self._call, Cost):
+            self._path.with_name("cost.json").write_text(json.dumps(self._call.worst))
 
 
 def main() -> None:
@@ -60,7 +62,7 @@ def main() -> None:
         f"-artifact_prefix={home}/",
         "-timeout=30",
         "-rss_limit_mb=2048",
-        "-max_len=4096",
+        f"-max_len={65536 if target == 'cost' else 4096}",
         "-print_final_stats=1",
         *options,
         str(corpus),

@@ -21,6 +21,7 @@ EXECUTIONS = {
     "multipart": 200_000,
     "frames": 300_000,
     "app": 100_000,
+    "answer": 100_000,
     "cost": 100_000,
 }
 ALLOWED_GROWTH_MIB = 64.0
@@ -45,7 +46,24 @@ def fuzz(target: str, executions: int, folder: Path) -> bool:
     growth = f"{early:.0f} -> {memory[-1]:.0f} MiB"
     said = "none" if well else f"FAILED: {home}/log"
     print(markdown.row((target, runs, f"{seconds} s", covered, growth, said)), flush=True)
+    if target == "cost" and (home / "cost.json").exists():
+        _tell_costs(json.loads((home / "cost.json").read_text()))
     return bool(well)
+
+
+def _tell_costs(worst: dict[str, dict[str, float]]) -> None:
+    head = ("reader", "longest", "most memory", "µs a byte", "bytes a byte")
+    rows = [
+        (
+            name,
+            f"{1000 * found['seconds']:.0f} ms",
+            f"{found['bytes'] / 2**20:.1f} MiB",
+            f"{1e6 * found['seconds a byte']:.1f}",
+            f"{found['bytes a byte']:.0f}",
+        )
+        for name, found in worst.items()
+    ]
+    print(markdown.table(head, rows), flush=True)
 
 
 def main() -> int:

@@ -46,21 +46,22 @@ class Images:
         return json.loads(self.podman("image", "inspect", name).stdout)[0]
 
     @contextmanager
-    def serving(self) -> Iterator[tuple[str, str]]:
+    def serving(self, *options: str) -> Iterator[tuple[str, str]]:
         """Start the service's container, hardened; yield its name and its address."""
-        with self.running(SERVICE_IMAGE, "--host", "127.0.0.1", "--port", "0") as (name, output):
+        command = (*options, SERVICE_IMAGE, "--host", "127.0.0.1", "--port", "0")
+        with self.running(*command) as (name, output):
             address = said_address(output)
             with Client(address) as client:
                 wait_until_ready(client)
             yield name, address
 
     @contextmanager
-    def running(self, *image_and_command: str) -> Iterator[tuple[str, IO[str]]]:
+    def running(self, *options_image_and_command: str) -> Iterator[tuple[str, IO[str]]]:
         """Start a container, hardened; yield its name and what it says."""
         name = f"rollcast-test-{os.getpid()}-{time.monotonic_ns()}"
         started = ("--name", name, "--no-healthcheck")
         process = subprocess.Popen(
-            [*self._podman, *RUN, *started, *HARDENED, *image_and_command],
+            [*self._podman, *RUN, *started, *HARDENED, *options_image_and_command],
             stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
         )  # fmt: skip
         assert process.stdout is not None

@@ -1,17 +1,16 @@
 """The service's image: what is in it, what it answers, how it stops."""
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from rollcast.client import Client
-from tests.e2e.conftest import ASKED, assert_same_forecasts, held
-from tests.image.conftest import BASE, SERVICE_IMAGE
+from rollcast.errors import AuthError
+from tests.e2e.conftest import ASKED, LONGEST_HORIZON, assert_same_forecasts, long_forecasts
+from tests.image.conftest import BASE, HARDENED, RUN, SERVICE_IMAGE
 
 MOST_MB = 600
 LOAD = 16
-LONG_HORIZON = 400
 
 
 def test_it_is_small_and_says_what_it_is(service_images):
@@ -64,20 +63,29 @@ def other_container(service_images) -> Iterator[tuple[str, str]]:
 
 def test_it_answers_what_it_has_accepted_when_it_is_told_to_stop(service_images, other_container):
     name, address = other_container
-    with Client(address) as client:
-        frames = client.simulate("hemisphere", seed=1, steps=4).frames
-
-    def forecast(_: int) -> int:
-        with Client(address) as client:
-            return len(client.predict(frames, model="dispnet", horizon=LONG_HORIZON).times_s)
-
-    with ThreadPoolExecutor(LOAD) as threads:
-        answers = [threads.submit(forecast, k) for k in range(LOAD)]
-        while held(address) < LOAD:
-            assert not all(answer.done() for answer in answers)
+    with long_forecasts(address, LOAD) as answers:
         stopped = service_images.podman("stop", "--time", "30", name)
         assert stopped.returncode == 0
-        assert [answer.result() for answer in answers] == LOAD * [LONG_HORIZON]
+        assert [answer.result() for answer in answers] == LOAD * [LONGEST_HORIZON]
     # 0 or SIGTERM's own, but not what a kill leaves behind (137).
     ended = service_images.podman("inspect", "--format", "{{.State.ExitCode}}", name)
     assert ended.stdout.strip() in {"0", "143"}
+
+
+def test_any_user_runs_it_and_makes_its_keys(service_images, tmp_path):
+    """OpenShift gives a user without a name, in the group 0."""
+    nobody = ("--user", "123456:0")
+    tmp_path.chmod(0o777)
+    made = service_images.podman(
+        *RUN, *HARDENED, *nobody, "--rm", "--volume", f"{tmp_path}:/keys", "--entrypoint", "python",
+        SERVICE_IMAGE, "-m", "service.auth", "--file", "/keys/keys.json", "add", "robot",
+    )  # fmt: skip
+    assert made.returncode == 0, made.stdout
+    mounted = ("--volume", f"{tmp_path}:/keys:ro", "--env", "ROLLCAST_KEYS_FILE=/keys/keys.json")
+    with service_images.serving(*nobody, *mounted) as (name, address):
+        assert service_images.podman("exec", name, "id", "-u").stdout.strip() == "123456"
+        with pytest.raises(AuthError), Client(address) as client:
+            client.models()
+        with Client(address, api_key=made.stdout.strip()) as client:
+            frames = client.simulate("hemisphere", seed=1, steps=4).frames
+            assert client.predict(frames, horizon=3).positions.shape == (1, 3, 2)

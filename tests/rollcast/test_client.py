@@ -125,6 +125,15 @@ def test_frames_may_be_arrays_images_or_paths(tmp_path):
     assert encoded(path, None) == path.read_bytes(), "a file is sent as it is"
 
 
+def test_a_gap_in_the_names_of_frames_is_told(client, tmp_path):
+    paths = [tmp_path / f"frame{number}.png" for number in (0, 1, 2, 5)]
+    for path in paths:
+        Image.fromarray(FRAME).save(path)
+    told = [*client(Service(FORECAST)).predict(paths, horizon=2).warnings]
+    said = "2 images are missing from the numbering, after frame2.png"
+    assert told == [f"{said}: the frames are taken as evenly spaced", "beware"]
+
+
 @pytest.mark.parametrize("shape", [(60, 40), (41, 60)])
 def test_a_crop_is_the_largest_square_in_the_middle(shape, tmp_path):
     frame = np.random.default_rng(1).integers(0, 256, (*shape, 3), np.uint8)

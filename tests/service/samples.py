@@ -4,6 +4,7 @@ import base64
 import io
 import struct
 import zlib
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from PIL import Image
 from rollcast.manifest import HASHED_FILES, OUTPUT_SHAPES, Manifest
 from rollcast.ood import Familiarity
 from rollcast.rollout import Arrays, Step
+from service.http.image_decoding import OpenedFrames
 from service.serving.registry import Model, Registry
 
 UNITS = {
@@ -44,6 +46,14 @@ def encode(image: Image.Image, kind: str, **options: object) -> bytes:
     buffer = io.BytesIO()
     image.save(buffer, kind, **options)
     return buffer.getvalue()
+
+
+def decode_frames(
+    images: Sequence[bytes], fields: Sequence[str], check: Callable[[], None] = lambda: None
+) -> tuple[np.ndarray, int]:
+    """Decode frames; return them and the side that they had."""
+    opened = OpenedFrames(images, fields, check)
+    return opened.decode(), opened.side
 
 
 def moving_dot(side: int = 128, frames: int = 4) -> list[bytes]:

@@ -1,6 +1,7 @@
 """Commands of ``python -m training``, a module for each group of them."""
 
 import typer
+from typer.core import TyperGroup
 
 from training.cli import balls, data, footage, models, studies, train
 
@@ -17,10 +18,23 @@ A first experiment, a few minutes on one core:
 """
 
 
+class _Commands(TyperGroup):
+    """Commands that Ctrl-C ends with one line, whatever they do."""
+
+    def invoke(self, ctx: typer.Context) -> object:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Run a command."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            typer.echo("\ninterrupted; the same command goes on from what is kept", err=True)
+            raise typer.Exit(train.INTERRUPTED) from None
+
+
 def application() -> typer.Typer:
     """Make the command line."""
     app = typer.Typer(
         name="python -m training",
+        cls=_Commands,
         help=HELP,
         no_args_is_help=True,
         add_completion=False,

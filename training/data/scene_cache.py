@@ -3,7 +3,6 @@
 Both cost more than everything else that a training window takes.
 """
 
-import multiprocessing
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -14,6 +13,7 @@ from tqdm import tqdm
 
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.simulation.rendering import Renderer
+from training.common.processes import process_pool
 from training.data.rest_height_map import resting_ground
 from training.data.shards import load_recordings
 
@@ -31,7 +31,7 @@ def load_scene_cache(shards: Sequence[Path], workers: int) -> SceneCache:
     """Compute and keep the cache of every scene of some shards; results are kept beside them."""
     missing = [shard for shard in shards if not all(file.exists() for file in _files(shard))]
     if missing:
-        with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        with process_pool(workers) as pool:
             done = pool.imap_unordered(_cache_shard, missing)
             for _ in tqdm(done, total=len(missing), desc="scene_cache", unit="shard"):
                 pass

@@ -9,7 +9,6 @@ import hashlib
 import io
 import json
 import math
-import multiprocessing
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from rollcast.simulation import Sequence as Simulated
 from rollcast.simulation.physics import STEPS_PER_FRAME, Material
 from rollcast.surfaces import NOISE_AMPLITUDE_M
 from rollcast.trajectory import Trajectory
+from training.common.processes import process_pool
 from training.common.settings import runs_folder
 from training.data.splits import Split, seeds
 
@@ -247,8 +247,7 @@ def in_processes(workers: int) -> Makers:
     """Make shards in so many processes of this machine."""
 
     def make(shards: Sequence[Shard]) -> Iterator[object]:
-        context = multiprocessing.get_context("spawn")
-        with context.Pool(workers, maxtasksperchild=SHARDS_PER_WORKER) as pool:
+        with process_pool(workers, SHARDS_PER_WORKER) as pool:
             yield from pool.imap_unordered(Shard.make, shards)
 
     return make

@@ -97,7 +97,7 @@ async def predict_stream(request: Request, service: ServiceState) -> Response:
 def _parser(kind: str, body: Body, request: Request) -> Parser:
     """Return the parser of the body, which runs in a worker thread."""
     if kind == JSON:
-        return lambda _: parse_json(body, PredictRequest)
+        return lambda _: (parse_json(body, PredictRequest), [])
     content_type = request.headers["content-type"]
     return lambda check: parse_form(
         body, content_type, PredictRequest, files=FILES, lists=LISTS, check=check

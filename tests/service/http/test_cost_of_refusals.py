@@ -18,14 +18,13 @@ from PIL import Image
 
 from rollcast.schemas import PredictRequest, SimulateRequest
 from service.errors import ServiceError
-from service.http.image_decoding import decode_frames
 from service.http.oip.schemas import InferRequest
 from service.http.oip.tensors import read_query
 from service.http.problem_details import document
 from service.http.request_body import parse_form, parse_json
 from service.http.routes.predict import FILES, LISTS
 from tests.service import samples
-from tests.service.samples import dot, encode, png, png_chunk
+from tests.service.samples import decode_frames, dot, encode, png, png_chunk
 
 FACTOR = 4
 MAX_GROWTH = 2 * FACTOR

@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from rollcast.errors import FrameError
+from rollcast.frames import as_frame
 from service.errors import BrokenImageError, InvalidValueError, NotAnImageError, ServiceError
-from service.http.image_decoding import decode_frames
-from tests.service.samples import dot, encode, png, png_chunk, png_header
+from tests.service.samples import decode_frames, dot, encode, png, png_chunk, png_header
 
 
 def decoded(data: bytes) -> np.ndarray:
@@ -141,6 +142,23 @@ def test_a_camera_held_upright_is_turned_back():
     turned = image.rotate(90)
     frame = decoded(encode(turned, "PNG", exif=exif))
     np.testing.assert_array_equal(frame, dot(20, 100))
+
+
+@pytest.mark.parametrize("progressive", [False, True])
+@pytest.mark.parametrize("missing", [1, 2])
+def test_a_jpeg_may_lack_its_last_marker(progressive, missing):
+    whole = encode(Image.fromarray(noise(96)), "JPEG", progressive=progressive)
+    np.testing.assert_array_equal(decoded(whole[:-missing]), decoded(whole))
+    np.testing.assert_array_equal(as_frame(whole[:-missing]), as_frame(whole))
+
+
+@pytest.mark.parametrize("missing", [3, 12, 500])
+def test_a_jpeg_may_lack_no_pixel(missing):
+    whole = encode(Image.fromarray(noise(96)), "JPEG")
+    with pytest.raises(BrokenImageError):
+        decoded(whole[:-missing])
+    with pytest.raises(FrameError):
+        as_frame(whole[:-missing])
 
 
 def test_the_side_of_the_frames_is_returned():

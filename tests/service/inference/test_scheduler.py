@@ -250,6 +250,47 @@ def test_frames_that_cannot_be_read_fail_nobody_else(start, network):
         broken.result(SECONDS)
 
 
+class Slow(Count):
+    """A job whose images are large."""
+
+    def begin(self):
+        return super().begin
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_large_images_keep_no_small_request_waiting(start, network, threads):
+    scheduler, encoding = start(threads), threading.Event()
+    large = [Slow(network, [index], 3, encoding) for index in range(6)]
+    waiting = [scheduler.submit(job, CancellationToken()) for job in large]
+    small = Count(network, [10], 3)
+    assert scheduler.submit(small, CancellationToken()).result(SECONDS) == small.expected
+    assert not any(future.done() for future in waiting)
+    encoding.set()
+    assert [future.result(SECONDS) for future in waiting] == [job.expected for job in large]
+    assert scheduler.idle
+
+
+def test_a_large_image_that_cannot_be_read_fails_nobody_else(start, network):
+    class Broken(Slow):
+        def begin(self):
+            return self.fail
+
+        def fail(self):
+            raise ValueError("no image")
+
+    scheduler = start()
+    broken = scheduler.submit(Broken(network, [1], 3), CancellationToken())
+    other = Slow(network, [2], 3)
+    assert scheduler.submit(other, CancellationToken()).result(SECONDS) == other.expected
+    with pytest.raises(ValueError, match="no image"):
+        broken.result(SECONDS)
+    cancelled = CancellationToken()
+    cancelled.cancel()
+    with pytest.raises(ClientGoneError):
+        scheduler.submit(other, cancelled).result(SECONDS)
+    assert scheduler.idle
+
+
 def test_one_failure_is_the_answer_of_one_request(start, network):
     class Failing(Count):
         def step(self, index, outputs):

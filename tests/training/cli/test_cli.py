@@ -1,5 +1,6 @@
 """The command line: names, refusals, and Ctrl-C in a real training."""
 
+import os
 import re
 import signal
 import subprocess
@@ -9,7 +10,7 @@ import time
 import pytest
 from typer.testing import CliRunner
 
-from training.__main__ import app
+from training.cli import application
 from training.cli.train import within
 from training.common.run_folder import CHECKPOINT
 from training.recipes import RECIPES, summary
@@ -29,10 +30,11 @@ def test_help_names_every_command_and_nothing_of_libraries():
     listed = ran.stdout[ran.stdout.index("Commands:") :].splitlines()[1:]
     assert {line.split()[0] for line in listed if re.match(r"  \S", line)} == COMMANDS
     assert ran.stdout.startswith("Usage: ")
+    assert ran.stderr == ""
 
 
 def test_every_recipe_has_a_line_in_the_help_of_train():
-    text = CliRunner().invoke(app, ["train", "--help"]).output
+    text = CliRunner().invoke(application(), ["train", "--help"]).output
     lines = {line.split()[0]: line for line in text.splitlines() if line.startswith("    ")}
     for name in RECIPES:
         assert lines[name].endswith(summary(name))
@@ -51,7 +53,7 @@ def test_every_recipe_has_a_line_in_the_help_of_train():
     ],
 )
 def test_a_refusal_names_the_value_and_what_would_be_right(words, said, runs):
-    ran = CliRunner().invoke(app, words)
+    ran = CliRunner().invoke(application(), words)
     assert ran.exit_code in {1, 2}
     assert said in " ".join(re.sub(r"[│╭╮╰╯─]", " ", ran.output).split())
 
@@ -61,6 +63,22 @@ def test_a_budget_replaces_the_recipes():
     assert (short.sequences, short.data[0].scenes, short.validation_scenes) == (64, 50, 50)
     usual = tiny()
     assert within(usual, None, None) is usual
+
+
+@pytest.mark.parametrize("wait_s", [0.5, 4, 8])
+def test_ctrl_c_while_scenes_are_made_is_one_line(runs, wait_s):
+    """In a terminal it reaches every process; those that simulate start all the time."""
+    command = [sys.executable, "-m", "training", "train", "tiny", "--workers", "2"]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    time.sleep(wait_s)
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode in {130, -signal.SIGINT}
+    assert "Traceback" not in errors, errors
+    assert "pybullet" not in errors
+    assert not (runs / "tiny" / CHECKPOINT).exists()
 
 
 def test_ctrl_c_says_how_to_go_on(runs):

@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 from rollcast.tracking.tracks import Tracks
 from tests.rollcast.tracking.billiards import RADIUS_PX, billiards
-from training.__main__ import app
+from training.cli import application
 from training.data.clip_dataset import Clips, Setup
 from training.recipes.setup import T_TRAIN
 from training.reporting.footage_page import (
@@ -55,5 +55,5 @@ def test_a_few_clips_train_up_to_the_compared_step_alone():
 
 
 def test_without_the_clips_it_is_skipped_with_a_line(tmp_path):
-    said = CliRunner().invoke(app, ["real", str(tmp_path)]).output
+    said = CliRunner().invoke(application(), ["real", str(tmp_path)]).output
     assert said.startswith(f"skipped: {tmp_path} has no 4Ball-short1.mp4, ")

@@ -44,6 +44,34 @@ def test_multipart_gives_the_same_answer_as_json(client):
     assert by_json == by_parts
 
 
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["f0.png", "f1.png", "f2.png", "f5.png"], "2 images are missing from the numbering"),
+        (["f3.png", "f2.png", "f1.png", "f0.png"], "not that of their numbers"),
+    ],
+)
+def test_numbers_of_files_that_speak_against_the_frames_are_told(client, names, said):
+    files = [("frames", (name, image)) for name, image in zip(names, moving_dot(), strict=True)]
+    answer = client.post("/predict", files=files, data={"horizon": "3"}).json()
+    assert [said in warning for warning in answer["warnings"]] == [True]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["7.png", "8.png", "9.png", "10.png"],
+        ["frame.png"] * 4,
+        ["1" * 300, "2", "3", "4"],
+        list("ab²c"),
+    ],
+)
+def test_names_of_files_mean_nothing_else(client, names):
+    files = [("frames", (name, image)) for name, image in zip(names, moving_dot(), strict=True)]
+    answer = client.post("/predict", files=files, data={"horizon": "3"}).json()
+    assert answer["warnings"] == []
+
+
 def test_the_horizon_is_40_by_default(client):
     answer = client.post("/predict", json=body()).json()
     assert len(answer["times_s"]) == len(answer["objects"][0]["positions"]) == 40

@@ -6,7 +6,7 @@ import pytest
 from rollcast.perlin import noise_and_gradient
 from rollcast.scene import Scene
 from rollcast.surfaces import NOISE_AMPLITUDE_M
-from service.http.image_decoding import decode_frames
+from tests.service.samples import decode_frames
 
 SCENE = {"scenario": "ellipsoid", "seed": 3, "steps": 6}
 
