@@ -17,13 +17,20 @@ from training.studies.benchmark_case import BenchmarkCase, FixedScenes
 
 LEGEND = """Every cell: mean error on 500 test scenes in 128-pixel units, after it half the spread
 over seeds where there are several; in brackets the error of angular velocity in rad/s; in square
-brackets the mean negative log likelihood where a network predicts covariances; after the stroke
-the paper's error. Budgets are unequal: the last columns give the sequences of each kind of scene
-that a row was trained on, optimiser steps, trainings, and where its validation error had stopped
-falling. The paper's networks saw about 17 million sequences. Rows named "compact-" have the
-paper's heads and supervision, not its VGG16; rows with a version ("posnet@1") are the committed
-models, which were told more than the paper's."""
+brackets the mean negative log likelihood in nats where a network predicts covariances, which the
+paper calls perplexity and prints as its natural logarithm; after the stroke the paper's error and,
+in square brackets, its figure for the likelihood. Budgets are unequal: the last columns give the
+sequences of each kind of scene that a row was trained on, optimiser steps, trainings, and where its
+validation error had stopped falling. The paper's networks saw about 17 million sequences. Rows
+named "compact-" have the paper's heads and supervision, not its VGG16; those of one table that
+share a supervision also share encoder, state and angular velocity, so that their errors of angular
+velocity are one figure. Rows with a version ("posnet@1") are the committed models, which were told
+more than the paper's. Balls have a radius of 0.225 m, one of the paper's two. [What else
+differs](../reproduced.md#what-differs) from the paper."""
 """Of the tables of methods."""
+IMPACTS = """Two balls that collide separate with 0.7 of their speed of approach; the paper's, of
+restitution 0.7 each, with 0.49."""
+"""Of the tables with several balls."""
 BUDGET = 60_000
 """Training sequences of each kind of scene for every row that learns, if there is time for them."""
 STATE_BUDGET = 2_000_000
@@ -69,6 +76,11 @@ class StudyBudget:
         """Tells the folders of other budgets and seeds apart."""
         length = "" if self.of(usual) == BUDGET else f"-{self.of(usual)}"
         return length + ("" if self.seed == 1 else f"-seed-{self.seed}")
+
+
+def paper_method(method: str) -> str:
+    """Return a method's name in ``paper.json``."""
+    return method.removeprefix(COMPACT)
 
 
 class Outcome(NamedTuple):
@@ -126,7 +138,7 @@ class Row:
     @property
     def paper_method(self) -> str:
         """Its name in ``paper.json``."""
-        return self.method.removeprefix(COMPACT)
+        return paper_method(self.method)
 
     def trained_on(self, budget: StudyBudget) -> int | None:
         """Return its training sequences; None for what learns nothing."""
