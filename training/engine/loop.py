@@ -132,6 +132,14 @@ class TrainingLoop(ABC, Generic[Item]):
         for group, rate in zip(self._optimiser.param_groups, self._first_rates, strict=True):
             group["lr"] = rate * factor
 
+    def stream(self) -> Iterator[Item]:
+        """Return the batches from the next one on."""
+        return distributed.main_process_first(self._stream)
+
+    def step(self, batch: Item) -> float:
+        """Take an optimiser step; return the loss."""
+        return self._step(batch, self.progress)
+
     @property
     def sequences(self) -> int:
         """Training sequences seen so far."""
@@ -161,10 +169,10 @@ class TrainingLoop(ABC, Generic[Item]):
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         self._resume()
-        stream = iter(distributed.main_process_first(self._stream))
+        stream = iter(self.stream())
         if not distributed.is_main_process():
             while not self._ended:
-                self._step(next(stream), self.progress)
+                self.step(next(stream))
             return math.inf
         total = self.optimisation.batches
         try:
@@ -190,7 +198,7 @@ class TrainingLoop(ABC, Generic[Item]):
                 if self._ended:
                     return
                 with step():
-                    loss = self._step(next(stream), self.progress)
+                    loss = self.step(next(stream))
                 bar.update()
                 if self.batches % 20 == 0:
                     bar.set_postfix(loss=f"{loss:.3g}", best=f"{self.best_error:.2f} px")
@@ -208,7 +216,8 @@ class TrainingLoop(ABC, Generic[Item]):
         self._clip_gradients()
         self._optimiser.step()
         self.batches += 1
-        self._average.update_parameters(self.module)
+        if self.optimisation.average_decay > 0:
+            self._average.update_parameters(self.module)
         value = distributed.average_value(float(loss.detach()))
         self._schedule.observe(value, self.optimisation.batch_size)
         return value
@@ -234,6 +243,8 @@ class TrainingLoop(ABC, Generic[Item]):
         due = self.batches % self._config.validate_every == 0 or self._ended
         if not due or self.batches == last:
             return
+        if self.optimisation.average_decay == 0:
+            self._average.update_parameters(self.module)
         self._average.eval()
         error, scalars = self._errors()
         for tag, value in scalars.items():

@@ -137,15 +137,13 @@ def metric_rows(
         line = np.linalg.norm(part.line - truth, axis=-1).mean(axis=(0, 1))
         for horizon, measured in measured_at(made, horizons).items():
             step = horizon - 1
-            figures = measured._asdict()
             rows.append(
                 MetricRow(
                     split="validation" if part.split == "validation" else "test",
                     scenario=part.scenario,
                     horizon=horizon,
                     sequences=len(truth),
-                    perplexity=figures.pop("nll_nats"),  # its name in manifests
-                    **figures,
+                    **measured._asdict(),
                     stays_put_px=rounded(rest[step]),
                     line_px=rounded(line[step]),
                 )
@@ -165,7 +163,7 @@ def markdown_table(rows: Sequence[MetricRow]) -> str:
         [(
             row.scenario, row.horizon, row.sequences,
             f"{row.position_error_px:.2f} ± {row.standard_error_px:.2f}",
-            _cell(row.angular_velocity_rmse), _cell(row.perplexity),
+            _cell(row.angular_velocity_rmse), _cell(row.nll_nats),
             _cell(row.coverage_50), _cell(row.coverage_95),
             _cell(row.stays_put_px), _cell(row.line_px),
         ) for row in rows],

@@ -4,19 +4,16 @@ What the paper leaves open: convolutions begin with He's Gaussian, positions cou
 frame, PosNet's first perceptron layer has 256 units.
 """
 
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal, TypeVar
 
-import numpy as np
-import onnx
 import torch
-from onnx import numpy_helper
 from torch import Tensor, nn
 from torch.nn import functional
 
 from training.networks.blocks import GRID, PIXEL_UNIT, ObjectInteraction
+from training.networks.imagenet import read_convolutions
 from training.networks.recurrent import (
     ANGULAR_VELOCITY_UNIT,
     DirectMotion,
@@ -178,16 +175,14 @@ def load_imagenet(encoder: VggEncoder, path: Path) -> int:
     Parameters
     ----------
     path
-        torchvision's ``vgg16-*.pth``, or an ONNX file with initialisers named like Keras' layers
-        (``block1_conv2`` and so on).
+        As :func:`training.networks.imagenet.read_convolutions` reads it.
 
     Raises
     ------
     ValueError
         When the file lacks a convolution of VGG16.
     """
-    read = _keras_onnx if path.suffix == ".onnx" else _torchvision
-    stored = read(path)
+    stored = read_convolutions(path)
     copied = 0
     own = [convolution for block in encoder.blocks for convolution in block.children()]
     for index, convolution in enumerate(own):
@@ -202,28 +197,6 @@ def load_imagenet(encoder: VggEncoder, path: Path) -> int:
                 convolution.bias.copy_(bias)  # pyright: ignore[reportOptionalMemberAccess]
             copied += 1
     return copied
-
-
-def _torchvision(path: Path) -> dict[int, tuple[Tensor, Tensor]]:
-    state = torch.load(path, map_location="cpu", weights_only=True)
-    layers = sorted({int(name.split(".")[1]) for name in state if name.startswith("features.")})
-    return {
-        index: (state[f"features.{layer}.weight"], state[f"features.{layer}.bias"])
-        for index, layer in enumerate(layers)
-    }
-
-
-def _keras_onnx(path: Path) -> dict[int, tuple[Tensor, Tensor]]:
-    names = [(b + 1, k + 1) for b, widths in enumerate(VGG16) for k in range(len(widths))]
-    found: dict[int, dict[int, Tensor]] = {}
-    for initialiser in onnx.load(path).graph.initializer:
-        layer = re.search(r"block(\d)_conv(\d)(_\d+)?/", initialiser.name)
-        if layer is not None:
-            index = names.index((int(layer[1]), int(layer[2])))
-            value = torch.from_numpy(np.array(numpy_helper.to_array(initialiser)))
-            found.setdefault(index, {})[value.ndim] = value.float()
-    # A convolution has one weight of four axes (out, in, height, width) and one bias.
-    return {index: (parts[4], parts[1]) for index, parts in found.items() if {1, 4} <= parts.keys()}
 
 
 def _gaussian(layer: Layer, follows: Literal["relu", "linear"] = "relu") -> Layer:

@@ -11,7 +11,15 @@ from training.studies.claims import NO_MODULE
 from training.studies.conditions import PLAIN_WHITE
 from training.studies.long_term import MODELS, OURS, of_one_ball
 from training.studies.network_rows import ours, ours_trained_to_each, shipped
-from training.studies.rows import COMPACT, LEGEND, PLAIN, Row, constant_position, middle_of_frame
+from training.studies.rows import (
+    COMPACT,
+    IMPACTS,
+    LEGEND,
+    PLAIN,
+    Row,
+    constant_position,
+    middle_of_frame,
+)
 from training.studies.study import Study
 
 WITHOUT_MODULE = f"{COMPACT}dispnet{NO_MODULE}"
@@ -132,7 +140,7 @@ visible, and with white balls. {LEGEND} T_train is 20, T_gen 40.""",
 MODULE = Study(
     "interaction",
     "With and without the interaction module",
-    f"Long-term prediction of several balls. {LEGEND} T_train is 15, T_gen 30.",
+    f"Long-term prediction of several balls. {LEGEND} T_train is 15, T_gen 30. {IMPACTS}",
     (BenchmarkCase("ellipsoid", 2), BenchmarkCase("ellipsoid", 3)),
     _modules,
 )
@@ -141,7 +149,7 @@ COLLISIONS = Study(
     "collisions",
     "After the first collision",
     f"""Errors 5 and 10 steps after the first collision, on test scenes in which two balls collide.
-Forecasts start ten steps before the collision. {LEGEND}""",
+Forecasts start ten steps before the collision. {LEGEND} {IMPACTS}""",
     (BenchmarkCase("ellipsoid", 2, colliding=True), BenchmarkCase("ellipsoid", 3, colliding=True)),
     _modules,
 )

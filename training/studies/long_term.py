@@ -11,6 +11,7 @@ from training.studies.frame_rows import v_lstm, vin
 from training.studies.network_rows import ours, shipped
 from training.studies.rows import (
     COMPACT,
+    IMPACTS,
     LEGEND,
     PLAIN,
     Row,
@@ -102,7 +103,7 @@ LONG_TERM = Study(
 SEVERAL_BALLS = Study(
     "several-balls",
     "Two and three balls",
-    CAPTION.format(trained=15, generated=30),
+    f"{CAPTION.format(trained=15, generated=30)} {IMPACTS}",
     (BenchmarkCase("ellipsoid", 2), BenchmarkCase("ellipsoid", 3)),
     _several_balls,
 )

@@ -17,14 +17,21 @@ from training.studies.benchmark_case import BenchmarkCase, FixedScenes
 
 LEGEND = """Each cell gives the mean error on 500 test scenes in pixels of 128 x 128 frames,
 followed by half the spread over seeds if there are several; in parentheses the error of the angular
-velocity in rad/s; in square brackets the mean negative log likelihood if the network predicts
-covariances; and after the slash the paper's error. Budgets differ: the last columns give the
-training sequences of each scenario, the optimiser steps, the number of trainings, and whether the
-validation error had stopped falling. The paper's networks were trained on about 17 million
-sequences. Rows named "compact-" have the paper's heads and supervision, but not its VGG16. Rows
-with a version ("posnet@1") are the committed models, which were trained with more supervision than
-the paper's."""
+velocity in rad/s; in square brackets the mean negative log likelihood in nats if the network
+predicts covariances, which the paper calls perplexity and prints as its natural logarithm; and
+after the slash the paper's error and, in square brackets, its likelihood. Budgets differ: the last
+columns give the training sequences of each scenario, the optimiser steps, the number of trainings,
+and whether the validation error had stopped falling. The paper's networks were trained on about 17
+million sequences. Rows named "compact-" have the paper's heads and supervision, but not its VGG16;
+rows of one table with the same supervision share the encoder, the state and the angular velocity,
+so that their errors of the angular velocity are one figure. Rows with a version ("posnet@1") are
+the committed models, which were trained with more supervision than the paper's. Balls have a radius
+of 0.225 m, one of the paper's two. The page [what we reproduced](../reproduced.md#what-differs)
+lists what else differs from the paper."""
 """Caption shared by the tables of methods."""
+IMPACTS = """Two balls that collide separate with 0.7 of their speed of approach; the paper's, of
+restitution 0.7 each, with 0.49."""
+"""Sentence of the tables with several balls."""
 BUDGET = 60_000
 """Training sequences of each kind of scene for every row that learns, if there is time for them."""
 STATE_BUDGET = 2_000_000
@@ -70,6 +77,11 @@ class StudyBudget:
         """Tells the folders of other budgets and seeds apart."""
         length = "" if self.of(usual) == BUDGET else f"-{self.of(usual)}"
         return length + ("" if self.seed == 1 else f"-seed-{self.seed}")
+
+
+def paper_method(method: str) -> str:
+    """Return a method's name in ``paper.json``."""
+    return method.removeprefix(COMPACT)
 
 
 class Outcome(NamedTuple):
@@ -127,7 +139,7 @@ class Row:
     @property
     def paper_method(self) -> str:
         """Its name in ``paper.json``."""
-        return self.method.removeprefix(COMPACT)
+        return paper_method(self.method)
 
     def trained_on(self, budget: StudyBudget) -> int | None:
         """Return its training sequences; None for what learns nothing."""

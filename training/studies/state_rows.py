@@ -50,7 +50,7 @@ def npe(*, angular_velocity: bool) -> Row:
         return FitConfig(
             max(1, sequences * (frames - GIVEN) // NPE_BATCH),
             partial(scenes.drawn, GIVEN + 1, latest, NPE_BATCH, seed),
-            lambda parameters: torch.optim.Adam(parameters, NPE_RATE),
+            lambda parameters: torch.optim.Adam(parameters, NPE_RATE, fused=True),
             Cosine,
             NPE_BATCH,
             seed,
@@ -59,7 +59,7 @@ def npe(*, angular_velocity: bool) -> Row:
     def build() -> Learner[States]:
         return Npe(angular_velocity=angular_velocity)
 
-    architecture = "NPE, pairwise perceptrons"
+    architecture = "NPE, pairwise perceptrons on two states"
     return _from_states("npe", architecture, build, configure, angular_velocity=angular_velocity)
 
 
@@ -72,7 +72,7 @@ def ifs(*, angular_velocity: bool) -> Row:
         return FitConfig(
             max(1, sequences // IFS_BATCH),
             partial(scenes.drawn, FRAMES, case.data.latest_start, IFS_BATCH, seed),
-            lambda parameters: torch.optim.Adam(parameters, IFS_RATE),
+            lambda parameters: torch.optim.Adam(parameters, IFS_RATE, fused=True),
             Cosine,
             IFS_BATCH,
             seed,
@@ -81,7 +81,7 @@ def ifs(*, angular_velocity: bool) -> Row:
     def build() -> Learner[States]:
         return Ifs(angular_velocity=angular_velocity)
 
-    architecture = "interaction network"
+    architecture = "interaction network on four states"
     return _from_states("ifs", architecture, build, configure, angular_velocity=angular_velocity)
 
 

@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 
 from rollcast.markdown import table
+from training.evaluation.paper import published
 from training.reporting.markdown import title
 from training.reporting.results import Curve, Measurement, Results
 from training.studies.benchmark_case import BenchmarkCase
 from training.studies.claims import CLAIMS, Verdict, verdicts
-from training.studies.rows import Row
+from training.studies.rows import Row, paper_method
 from training.studies.study import Study
 
 MISSING = "not measured"
@@ -139,7 +140,7 @@ def _found(results: Results, case: BenchmarkCase, method: str, at: str) -> Measu
 
 
 def _cell(cell: Measurement | None, best: float | None) -> str:
-    """Error, its spread over seeds, angular velocity's, likelihood, and the paper's error."""
+    """Error, its spread over seeds, angular velocity's, likelihood, and the paper's figures."""
     if cell is None:
         return MISSING
     ours = f"{cell.position_error_px:.1f}"
@@ -151,8 +152,12 @@ def _cell(cell: Measurement | None, best: float | None) -> str:
         ours += f" ({cell.angular_velocity_rmse:.1f})"
     if cell.nll_nats is not None:
         ours += f" [{cell.nll_nats:.1f} nats]"
-    paper = "-" if cell.paper_px is None else f"{cell.paper_px:.1f}"
-    return f"{ours} / {paper}"
+    if cell.paper_px is None:
+        return f"{ours} / -"
+    place = (cell.scenario, cell.objects, paper_method(cell.method), cell.at, cell.condition)
+    printed = published(*place)
+    likelihood = None if printed is None else printed.nll_nats
+    return f"{ours} / {cell.paper_px:.1f}" + (f" [{likelihood:.1f}]" if likelihood else "")
 
 
 def _claims(found: Sequence[Verdict]) -> str:

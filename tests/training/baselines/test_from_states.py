@@ -7,6 +7,12 @@ import torch
 
 from training.baselines.fitting import FitConfig, fit
 from training.baselines.ifs import Ifs
+from training.baselines.interaction import (
+    CODE,
+    InteractionDynamics,
+    SideBySide,
+    annealed_weights,
+)
 from training.baselines.learner import Learner
 from training.baselines.npe import Npe
 from training.baselines.states import States
@@ -63,6 +69,48 @@ def test_nothing_after_the_first_four_states_is_looked_at(build):
     # t = 0 is given.
     torch.testing.assert_close(forecast.positions[:, :, 0], 64 * (1 + long.positions[:, :, 3]))
     assert (forecast.angular_velocities is None) == (not learner.sees_spin)
+
+
+def plain(perceptron: SideBySide, core: int, x: torch.Tensor) -> torch.Tensor:
+    """Apply the perceptron of one core, layer by layer."""
+    for index, (weights, biases) in enumerate(
+        zip(perceptron.weights, perceptron.biases, strict=True)
+    ):
+        x = (x if index == 0 else x.relu()) @ weights[core] + biases[core]
+    return x
+
+
+@pytest.mark.parametrize("balls", [1, 2, 3])
+def test_folded_layers_do_what_the_published_ones_do(balls):
+    """Each core: a ball's own dynamics and what the others do to it, then affector and output."""
+    torch.manual_seed(balls)
+    dynamics = InteractionDynamics().double()
+    codes = torch.randn(2, balls, 4, CODE, dtype=torch.float64)
+    cores = dynamics.cores
+    history = list(codes.unbind(2))
+    for _ in range(3):
+        made: list[torch.Tensor] = []
+        for ball in range(balls):
+            of_cores: list[torch.Tensor] = []
+            for core, offset in enumerate((1, 2, 4)):
+                known = history[-offset]
+                effects = plain(cores.alone, core, known[:, ball])
+                for other in set(range(balls)) - {ball}:
+                    pair = torch.cat([known[:, ball], known[:, other]], -1)
+                    effects = effects + plain(cores.relation, core, pair)
+                affected = plain(cores.affector, core, effects)
+                seen = torch.cat([known[:, ball], affected], -1)
+                of_cores.append(plain(cores.output, core, seen))
+            made.append(dynamics.join(torch.cat(of_cores, -1)))
+        history.append(torch.stack(made, 1))
+    torch.testing.assert_close(dynamics.roll_out(codes, 3), torch.stack(history[4:], 2))
+
+
+def test_steps_that_weigh_nothing_are_not_rolled_out():
+    early, late = annealed_weights(16, 0.1), annealed_weights(16, 1.0)
+    assert len(early) == 3
+    assert 1 - early.sum() < 16e-3
+    torch.testing.assert_close(late, torch.full((16,), 1 / 16))
 
 
 def test_an_untrained_engine_that_predicts_no_change_goes_straight_on():

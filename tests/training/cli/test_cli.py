@@ -17,9 +17,9 @@ from training.recipes import RECIPES, summary
 from training.recipes.tiny import tiny
 
 COMMANDS = {
-    "simulate", "check-world", "train", "plot-run", "auto-train", "evaluate", "error-breakdown",
-    "export", "quantise", "fit-ood", "setup", "real", "real-clips", "study", "report",
-    "train-balls", "train-encounters", "export-balls",
+    "simulate", "check-world", "train", "dry-run", "plot-run", "auto-train", "evaluate",
+    "error-breakdown", "export", "quantise", "fit-ood", "setup", "real", "real-clips", "study",
+    "report", "train-balls", "train-encounters", "export-balls",
 }  # fmt: skip
 
 
@@ -79,6 +79,17 @@ def test_ctrl_c_while_scenes_are_made_is_one_line(runs, wait_s):
     assert "Traceback" not in errors, errors
     assert "pybullet" not in errors
     assert not (runs / "tiny" / CHECKPOINT).exists()
+
+
+def test_a_dry_run_states_the_speed_and_keeps_nothing(runs):
+    before = set(runs.iterdir())
+    ran = CliRunner().invoke(app, ["dry-run", "tiny", "--batches", "2", "--batch-size", "4"])
+    assert ran.exit_code == 0, ran.output
+    assert "tiny: 2 batches of 4 sequences on" in ran.output
+    share = re.search(r"GFLOP/s: (\d+)% of the [\d,.]+ GFLOP/s of a product", ran.output)
+    assert share
+    assert 0 < int(share[1]) < 150
+    assert {path.name for path in set(runs.iterdir()) - before} <= {"data"}
 
 
 def test_ctrl_c_says_how_to_go_on(runs):

@@ -93,7 +93,9 @@ def test_the_page_tells_what_a_row_was_trained_on(measured):
     assert (sequences, steps, trainings) == ("200", str(200 * 22 // 1000), "2")
     assert " ± " in lines["| npe"][3]
     assert lines["| linear extrapolation"][-4:] == ["-", "-", "-", "- |"]
-    assert lines["| npe"][1] == ("NPE, pairwise perceptrons / true positions, angular velocities")
+    assert lines["| npe"][1] == (
+        "NPE, pairwise perceptrons on two states / true positions, angular velocities"
+    )
 
 
 def test_the_page_has_every_row_and_its_pictures(measured):
@@ -107,6 +109,17 @@ def test_the_page_has_every_row_and_its_pictures(measured):
     assert "| states |" in next(one for one in text.splitlines() if one.startswith("| npe |"))
     for name in ("small-bars.png", "small-hemisphere-1.png"):
         assert (docs / "results" / name).stat().st_size > 5000
+
+
+def test_a_cell_prints_likelihoods_as_the_paper_does():
+    printed = published("heightfield", 1, "probnet without angular velocity", "T=20")
+    assert printed is not None
+    assert printed.nll_nats == 9.5
+    method = f"{COMPACT}probnet without angular velocity"
+    cell = replace(
+        _cell(method, 12.1), scenario="heightfield", study="long-term", paper_px=6.4, nll_nats=11.3
+    )
+    assert "**12.1** [11.3 nats] / 6.4 [9.5] |" in page(STUDIES["long-term"], Results((cell,), ()))
 
 
 @pytest.mark.parametrize("study", STUDIES.values(), ids=STUDIES)
