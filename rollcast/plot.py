@@ -158,19 +158,19 @@ def _sheet(
     times_s: Float[np.ndarray, " frames"],
     path: TruePath,
     title: str,
-    doubt: ForecastPath | None,
+    uncertainty: ForecastPath | None,
 ) -> Image.Image:
     """Put a large picture of the whole path and small ones of later frames on one sheet."""
     marks_s = times_s[1:] if len(times_s) > 1 else path.times_s[::STEPS_BETWEEN_MARKS][1:]
     columns = len(frames) // 2
     sheet = Image.new("RGB", (OVERVIEW_PX + columns * PANEL_PX, OVERVIEW_PX))
     overview = _Panel(frames[0], OVERVIEW_PX)
-    overview.path(path, float(path.times_s[-1]), marks_s, doubt)
+    overview.path(path, float(path.times_s[-1]), marks_s, uncertainty)
     overview.title(title)
     sheet.paste(overview.image(), (0, 0))
     for index, (frame, time_s) in enumerate(zip(frames[1:], times_s[1:], strict=True)):
         panel = _Panel(frame, PANEL_PX)
-        panel.path(path, float(time_s), np.array([time_s]), doubt)
+        panel.path(path, float(time_s), np.array([time_s]), uncertainty)
         panel.title(f"+{time_s:.2f} s")
         row, column = divmod(index, columns)
         sheet.paste(panel.image(), (OVERVIEW_PX + column * PANEL_PX, row * PANEL_PX))
@@ -193,7 +193,7 @@ class _Panel:
         path: TruePath,
         until_s: float,
         marks_s: Float[np.ndarray, " marks"],
-        doubt: ForecastPath | None,
+        uncertainty: ForecastPath | None,
     ) -> None:
         """Draw every object's path until a time, crosses and, of a forecast, ellipses at some."""
         for index, positions in enumerate(path.positions):
@@ -202,8 +202,8 @@ class _Panel:
             self._line(np.vstack([until, _at(until_s, path.times_s, positions)]), color, PATH_PX)
             for mark_s in marks_s:
                 position = _at(mark_s, path.times_s, positions)
-                if doubt is not None:
-                    covariance = _at(mark_s, path.times_s, doubt.covariances[index])
+                if uncertainty is not None:
+                    covariance = _at(mark_s, path.times_s, uncertainty.covariances[index])
                     self._line(_ellipse(position, covariance), color, ELLIPSE_PX)
                 self._cross(position, color)
 

@@ -50,7 +50,7 @@ UNTAGGED, FULL_RANGE = 0, 2
 LAST_STAMP = 2**62
 """Time stamp beyond which none is sought."""
 ROUNDING = 0.05
-"""Relative difference between a told rate and that of rounded time stamps."""
+"""Relative difference between a stated rate and that of rounded timestamps."""
 
 
 class _Shown(NamedTuple):
@@ -203,21 +203,21 @@ class VideoFile:
     @property
     def warnings(self) -> list[str]:
         """Faults met so far, a sentence each."""
-        told: list[str] = []
+        messages: list[str] = []
         if self._probe.is_interlaced:
-            told.append(
+            messages.append(
                 f"{self.name} is interlaced: its frames were deinterlaced, so fast motion is "
                 "less accurate"
             )
         if self._damage:
             places = sorted({f"{self._time_of(damage):.3f} s" for damage in self._damage})
             more = len(places) - DAMAGE_NAMED
-            told.append(
+            messages.append(
                 f"{self.name} is damaged at {', '.join(places[:DAMAGE_NAMED])}"
                 f"{f' and {more} more places' if more > 0 else ''}: frames are missing there, "
                 "and the next ones may show artefacts"
             )
-        return told
+        return messages
 
     def frames(self, start_s: float = 0.0) -> Iterator[TakenFrame]:
         """Yield the frames from the last one at or before a time on, at ascending times.
@@ -234,12 +234,12 @@ class VideoFile:
             stored = (shown.picture.width, shown.picture.height)
             size = stored if size is None else size
             if size != stored:
-                told = (
+                message = (
                     f"{self.name}: the picture changes from {size[0]} x {size[1]} to "
                     f"{stored[0]} x {stored[1]} at {shown.time_s:.3f} s; split the video there "
                     "and use one part"
                 )
-                yield TakenFrame(shown.time_s, partial(_refuse, told))
+                yield TakenFrame(shown.time_s, partial(_refuse, message))
             else:
                 yield TakenFrame(shown.time_s, partial(_pixels, shown, self.name))
 
@@ -403,9 +403,9 @@ def _rescaled(
     if len(stamps) < 2:
         return probe
     interval_s = usual_distance([stamp * probe.time_base for stamp in stamps])
-    told = stream.average_rate
-    if told and abs(float(told) * interval_s - 1) < ROUNDING:
-        interval_s = 1 / float(told)  # exact, where the time stamps are rounded
+    average_rate = stream.average_rate
+    if average_rate and abs(float(average_rate) * interval_s - 1) < ROUNDING:
+        interval_s = 1 / float(average_rate)  # exact, where the time stamps are rounded
     return probe._replace(scale=1 / (interval_s * camera_hz))
 
 
@@ -471,8 +471,8 @@ def _pixels(shown: _Shown, name: str) -> UInt8[np.ndarray, "height width 3"]:
     return _turned(np.asarray(rgb, np.uint8), picture)
 
 
-def _refuse(told: str) -> UInt8[np.ndarray, "height width 3"]:
-    raise FootageError(told)
+def _refuse(message: str) -> UInt8[np.ndarray, "height width 3"]:
+    raise FootageError(message)
 
 
 def _is_full_range(picture: VideoFrame) -> bool:

@@ -35,7 +35,7 @@ from rollcast.errors import RollcastError
 
 
 @dataclass(frozen=True)
-class Mistake:
+class FieldError:
     """One invalid value of a request: field, given value, expected value."""
 
     field: str
@@ -50,7 +50,7 @@ class ServiceError(RollcastError):
     ----------
     detail
         What happened, in a sentence.
-    mistakes
+    field_errors
         The values at fault, if there are any.
     """
 
@@ -58,15 +58,15 @@ class ServiceError(RollcastError):
     slug: ClassVar[str]
     title: ClassVar[str]
 
-    def __init__(self, detail: str, mistakes: Sequence[Mistake] = ()) -> None:
-        super().__init__(detail, mistakes)
+    def __init__(self, detail: str, field_errors: Sequence[FieldError] = ()) -> None:
+        super().__init__(detail, field_errors)
         self.detail = detail
-        self.mistakes = tuple(mistakes)
+        self.field_errors = tuple(field_errors)
 
     @classmethod
     def at(cls, field: str, value: object, expected: str) -> "ServiceError":
         """Return the refusal of one value of one field."""
-        return cls(f"{field}: expected {expected}", [Mistake(field, value, expected)])
+        return cls(f"{field}: expected {expected}", [FieldError(field, value, expected)])
 
 
 class MalformedBodyError(ServiceError):

@@ -26,27 +26,27 @@ class State:
     Attributes
     ----------
     settings
-        As they were at start.
+        Settings at the start.
     inference, simulation
         Executors of forecasts and simulations.
     metrics
         Metrics of the service.
     load
-        Loads models from their folder.
+        Function that loads models from their folder.
     bodies
-        Bytes of the request bodies that are held.
+        Budget of request bodies in memory.
     api_keys
-        The API keys; None where nobody is asked for one.
+        API keys; None if no key is required.
     rate_limiter
-        How often each may ask; None where everybody may as often as they like.
+        Rate limiter; None without a limit.
     changes
-        Loads and unloads that all worker processes follow; None for a process alone.
+        Model changes shared by all worker processes; None for a single process.
     registry
         The models; empty while loading.
     changing
-        Held while models come or go.
+        Lock for loading and unloading models.
     phase
-        ``loading`` before the models are there, ``draining`` after the order to stop.
+        ``loading`` until the models are loaded, ``draining`` after a stop signal.
     """
 
     settings: Settings

@@ -69,17 +69,17 @@ def translated(request: httpx2.Request, proxy: Proxy | None) -> Generator[None]:
 
 def failure(response: httpx2.Response, content: bytes | bytearray) -> ClientError:
     """Return the exception for an answer that reports a failure."""
-    told: ClientError
+    translated: ClientError
     try:
         problem = Problem.model_validate_json(content)
         if problem.status != response.status_code:
             raise ValueError(f"its problem document has the status {problem.status}")
-        told = problem_error(problem)
+        translated = problem_error(problem)
     except ValueError as error:
-        told = unexpected(response, _redirection(response) or error)
-    told.request_id = response.headers.get(REQUEST_ID_HEADER)
-    told.retry_after_s = _retry_after_s(response)
-    return told
+        translated = unexpected(response, _redirection(response) or error)
+    translated.request_id = response.headers.get(REQUEST_ID_HEADER)
+    translated.retry_after_s = _retry_after_s(response)
+    return translated
 
 
 def unexpected(response: httpx2.Response, reason: Exception | str) -> UnexpectedAnswerError:

@@ -49,7 +49,7 @@ class Finding(NamedTuple):
 
     verdict: Literal["ok", "note", "FAIL"]
     about: str
-    told: str
+    message: str
 
 
 def doctor(
@@ -67,7 +67,7 @@ def doctor(
         text = as_json([finding._asdict() for finding in findings])
     else:
         text = "\n".join(
-            f"{finding.verdict:<5}{finding.about}: {finding.told}" for finding in findings
+            f"{finding.verdict:<5}{finding.about}: {finding.message}" for finding in findings
         )
     return Outcome(text, code=int(any(finding.verdict == "FAIL" for finding in findings)))
 
@@ -87,8 +87,10 @@ def _extras() -> Iterator[Finding]:
         if find_spec(package) is None:
             yield Finding("note", extra, f"pip install 'rollcast[{extra}]', and {purpose}")
         elif extra == "video" and (fault := _video_fault()):
-            told = f"{package} {version(package)} fails ({fault}): pip install -U 'rollcast[video]'"
-            yield Finding("FAIL", extra, told)
+            message = (
+                f"{package} {version(package)} fails ({fault}): pip install -U 'rollcast[video]'"
+            )
+            yield Finding("FAIL", extra, message)
         else:
             yield Finding("ok", extra, f"{package} {version(package)}, {purpose}")
 
@@ -113,8 +115,8 @@ def _service(service: Client) -> Iterator[Finding]:
         health = service.health()
         if health.status != "ready":
             hint = "; try again in some seconds" if health.status == "loading" else ""
-            told = f"{service.base_url} answers, but it is not ready: {health.status}{hint}"
-            yield Finding("FAIL", "service", told)
+            message = f"{service.base_url} answers, but it is not ready: {health.status}{hint}"
+            yield Finding("FAIL", "service", message)
             return
         yield Finding("ok", "service", f"{service.base_url} is ready")
         yield from _models(service)
@@ -148,23 +150,23 @@ def _round_trip(service: Client) -> Iterator[Finding]:
     forecast = service.predict(scene.frames[:OBSERVED_FRAMES], horizon=HORIZON)
     truth = scene.positions[:, FIRST_FORECAST_FRAME:][:, :HORIZON]
     error_px = float(np.linalg.norm(forecast.positions - truth, axis=-1).mean())
-    told = (
+    message = (
         f"a simulated ball, {HORIZON} steps with {forecast.model.name}@{forecast.model.version}: "
         f"{error_px:.1f} px off on average, in {forecast.timing_ms.total:.0f} ms"
     )
     if error_px > LARGEST_ERROR_PX:
-        told = f"{told}; up to {LARGEST_ERROR_PX:g} px are expected"
-        yield Finding("FAIL", "forecast", told)
+        message = f"{told}; up to {LARGEST_ERROR_PX:g} px are expected"
+        yield Finding("FAIL", "forecast", message)
     else:
-        yield Finding("ok", "forecast", told)
+        yield Finding("ok", "forecast", message)
 
 
 def _without_truth(service: Client) -> Finding:
     """Forecast plain frames when no simulated truth is available."""
     frames = np.full((OBSERVED_FRAMES, NETWORK_FRAME_SIZE, NETWORK_FRAME_SIZE, 3), 128, np.uint8)
     forecast = service.predict(frames, horizon=HORIZON)
-    told = (
+    message = (
         f"plain grey frames, {HORIZON} steps with {forecast.model.name}@{forecast.model.version}, "
         f"in {forecast.timing_ms.total:.0f} ms; the error is unknown without a simulation"
     )
-    return Finding("ok", "forecast", told)
+    return Finding("ok", "forecast", message)

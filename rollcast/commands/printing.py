@@ -32,8 +32,8 @@ def forecast_text(
             f"{crop.x},{crop.y},{crop.size}",
             "time_s: seconds after the last of these frames; x, y: pixels of the uncropped picture",
         ]
-        told = [f"warning: {warning}" for warning in warnings]
-        return "\n".join([*lines, *_path_table(columns), *told])
+        lines = [f"warning: {warning}" for warning in warnings]
+        return "\n".join([*lines, *_path_table(columns), *lines])
     return as_json(
         {
             "model": model,

@@ -96,7 +96,7 @@ def track(
         write_film(film, pictures, quality.frame_rate)
         reports.append(quality)
         warnings += source.warnings
-    warnings += [doubt for quality in reports for doubt in _doubts(quality)]
+    warnings += [warning for quality in reports for warning in _quality_warnings(quality)]
     return Outcome("\n\n".join(map(_table, reports)), warnings)
 
 
@@ -166,7 +166,7 @@ def _table(quality: "Quality") -> str:
     return "\n".join(lines)
 
 
-def _doubts(quality: "Quality") -> list[str]:
+def _quality_warnings(quality: "Quality") -> list[str]:
     swaps = [
         f"{quality.clip}: balls {one.balls[0]} and {one.balls[1]} may be swapped after frame "
         f"{one.last}"

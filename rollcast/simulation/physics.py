@@ -147,7 +147,7 @@ class World:
             pybullet.GEOM_PLANE, planeNormal=[0, 0, 1], physicsClientId=client
         )
         # PyBullet would make pictures of bodies without looks, which takes ten times as long.
-        self._looks = pybullet.createVisualShape(
+        self._visual_shape = pybullet.createVisualShape(
             pybullet.GEOM_BOX, halfExtents=(0.01, 0.01, 0.01), physicsClientId=client
         )
         self._balls = [self._make_ball(scene, k, sphere) for k in range(scene.objects)]
@@ -168,7 +168,7 @@ class World:
         spin = (0, 0, 0) if scene.spins_rad_s is None else scene.spins_rad_s[index]
         own = self._coefficients
         body = pybullet.createMultiBody(
-            self._masses[index], shape, self._looks, scene.positions_m[index],
+            self._masses[index], shape, self._visual_shape, scene.positions_m[index],
             scene.orientations_xyzw[index], physicsClientId=client,
         )  # fmt: skip
         pybullet.resetBaseVelocity(body, scene.velocities_m_s[index], spin, physicsClientId=client)
@@ -188,7 +188,7 @@ class World:
         """Make a plane that only ball ``index`` can touch."""
         client = self._client
         body = pybullet.createMultiBody(
-            0, shape, self._looks, (0, 0, _OUT_OF_REACH_M), physicsClientId=client
+            0, shape, self._visual_shape, (0, 0, _OUT_OF_REACH_M), physicsClientId=client
         )
         own = self._coefficients
         # Bullet multiplies the resistance of one body by the friction of the other.
@@ -218,7 +218,9 @@ class World:
                 pybullet.GEOM_PLANE, planeNormal=[-x, -y, 0], physicsClientId=client
             )
             origin = (right if x > 0 else left, top if y > 0 else bottom, 0)
-            body = pybullet.createMultiBody(0, shape, self._looks, origin, physicsClientId=client)
+            body = pybullet.createMultiBody(
+                0, shape, self._visual_shape, origin, physicsClientId=client
+            )
             pybullet.changeDynamics(
                 body, -1, lateralFriction=own.wall_friction, restitution=own.wall_restitution,
                 physicsClientId=client,

@@ -70,7 +70,7 @@ class Quality(BaseModel):
 
 
 @dataclass(frozen=True)
-class Doubts:
+class TrackingEvidence:
     """Observations during the search for the balls.
 
     Attributes
@@ -89,10 +89,12 @@ DOUBTFUL = 5.0
 """Nats below which an encounter is a suspected swap."""
 
 
-def quality_of(tracks: Tracks, doubts: Doubts) -> Quality:
+def quality_of(tracks: Tracks, evidence: TrackingEvidence) -> Quality:
     """Report on tracks."""
     gaps = [
-        gap for ball in range(tracks.balls) for gap in _gaps(tracks, ball, doubts.touched[:, ball])
+        gap
+        for ball in range(tracks.balls)
+        for gap in _gaps(tracks, ball, evidence.touched[:, ball])
     ]
     of_balls: list[BallQuality] = []
     for ball, colour in enumerate(tracks.colours):
@@ -116,7 +118,7 @@ def quality_of(tracks: Tracks, doubts: Doubts) -> Quality:
         found=float(tracks.found.mean()),
         balls=of_balls,
         gaps=gaps,
-        suspected_swaps=[one for one in doubts.encounters if one.evidence < DOUBTFUL],
+        suspected_swaps=[one for one in evidence.encounters if one.evidence < DOUBTFUL],
         jumps=[jump for ball in range(tracks.balls) for jump in _jumps(tracks, ball)],
     )
 

@@ -17,7 +17,14 @@ from rollcast.footage import FrameSource, SquareCrop
 from rollcast.tracking.association import Identities, assign_identities, balls_in, palette_evidence
 from rollcast.tracking.background import background_of
 from rollcast.tracking.detection import BIN_WIDTHS, BINS, Detections, Detector, radius_of_balls
-from rollcast.tracking.quality import NEAR, CloseApproach, Doubts, Quality, quality_of, runs
+from rollcast.tracking.quality import (
+    NEAR,
+    CloseApproach,
+    Quality,
+    TrackingEvidence,
+    quality_of,
+    runs,
+)
 from rollcast.tracking.smoothing import smoothed
 from rollcast.tracking.tracklets import Tracklet, link_tracklets
 from rollcast.tracking.tracks import Tracks
@@ -102,11 +109,11 @@ def track(
     tracks = _tracks(
         name or Path(source.name).stem, (width, height), corner, times_s, frames, rows, known
     )
-    doubts = Doubts(
+    evidence = TrackingEvidence(
         _touched(tracks, frames),
         list(_encounters(tracks, frames, rows, known.palettes)),
     )
-    return Tracked(tracks, quality_of(tracks, doubts), known.palettes)
+    return Tracked(tracks, quality_of(tracks, evidence), known.palettes)
 
 
 def _samples(

@@ -118,18 +118,18 @@ class Tracks:
                 f"{path} holds no tracks: its columns are {', '.join(table.column_names)}, "
                 f"expected {', '.join(COLUMNS.names)}, as `rollcast track` writes them"
             )
-        told = json.loads(about)
-        balls = len(told["colours"])
+        metadata = json.loads(about)
+        balls = len(metadata["colours"])
         values = {name: table[name].to_numpy() for name in COLUMNS.names[1:]}
         shaped = {name: column.reshape(-1, balls) for name, column in values.items()}
         return cls(
             clip=table["clip"][0].as_py(),
-            width=told["width"],
-            height=told["height"],
-            colours=tuple(told["colours"]),
+            width=metadata["width"],
+            height=metadata["height"],
+            colours=tuple(metadata["colours"]),
             times_s=shaped["time"][:, 0].copy(),
             positions_px=np.stack([shaped["x"], shaped["y"]], axis=-1),
             radii_px=shaped["radius"].copy(),
             confidences=shaped["confidence"].copy(),
-            source_sha256=told.get("source_sha256", ""),
+            source_sha256=metadata.get("source_sha256", ""),
         )

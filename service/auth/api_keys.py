@@ -30,7 +30,7 @@ SCOPES: tuple[Scope, ...] = get_args(Scope)
 TOKEN_BYTES = 32
 TOKEN_PREFIX = "rollcast_"
 """Prefix by which people and secret scanners recognise a key."""
-MAX_MISTAKES = 10
+MAX_FIELD_ERRORS = 10
 """Mistakes of a file that its refusal names."""
 _TOKEN = re.compile(re.escape(TOKEN_PREFIX) + r"[A-Za-z0-9_-]{32,}")
 LOOKED_AT_S = 1.0
@@ -91,8 +91,10 @@ class KeyFile(BaseModel):
         try:
             return cls.model_validate_json(read_regular_file(path))
         except ValidationError as error:
-            told = [_place(fault) for fault in error.errors(include_url=False)[:MAX_MISTAKES]]
-        raise ValueError("; ".join(told))
+            messages = [
+                _place(fault) for fault in error.errors(include_url=False)[:MAX_FIELD_ERRORS]
+            ]
+        raise ValueError("; ".join(messages))
 
     def write(self, path: Path) -> None:
         """Write the file so that it is never seen half-written; only its owner may read it."""
@@ -156,7 +158,7 @@ class ApiKeyStore:
         self._path = path
         self._seen = self._stamp()
         self._keys: Sequence[Key] = KeyFile.read(path).keys
-        self._looked = time.monotonic()
+        self._checked_at = time.monotonic()
 
     def find(self, token: str) -> Key | None:
         """Return the key, unless it is unknown or has expired.
@@ -173,9 +175,9 @@ class ApiKeyStore:
 
     def _refresh(self) -> None:
         now = time.monotonic()
-        if now < self._looked + LOOKED_AT_S:
+        if now < self._checked_at + LOOKED_AT_S:
             return
-        self._looked = now
+        self._checked_at = now
         try:
             stamp = self._stamp()
             if stamp == self._seen:

@@ -24,7 +24,7 @@ class RateLimiter:
         self._allowed = RateLimitItemPerMinute(per_minute)
         self._limiter = SlidingWindowCounterRateLimiter(MemoryStorage())
 
-    def hit(self, asker: str) -> None:
+    def hit(self, client_name: str) -> None:
         """Count a request.
 
         Raises
@@ -32,10 +32,10 @@ class RateLimiter:
         TooManyRequestsError
             When it is one too many.
         """
-        if self._limiter.hit(self._allowed, asker):
+        if self._limiter.hit(self._allowed, client_name):
             return
-        reset = self._limiter.get_window_stats(self._allowed, asker).reset_time
+        reset = self._limiter.get_window_stats(self._allowed, client_name).reset_time
         raise TooManyRequestsError(
-            f"{asker} exceeded the rate limit of {self._allowed.amount} requests per minute.",
+            f"{client_name} exceeded the rate limit of {self._allowed.amount} requests per minute.",
             retry_after_s=max(1, math.ceil(reset - time.time())),
         )

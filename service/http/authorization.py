@@ -49,11 +49,11 @@ async def check_access(request: Request, service: ServiceState) -> None:
     scope = scope_for(request.scope["route"].path)
     if scope is None:
         return
-    asker = request.client.host if request.client else "somebody"
+    client_name = request.client.host if request.client else "unknown"
     if service.api_keys is not None:
-        asker = _key(request, service.api_keys, scope).name
+        client_name = _key(request, service.api_keys, scope).name
     if service.rate_limiter is not None and scope != "metrics":
-        service.rate_limiter.hit(asker)
+        service.rate_limiter.hit(client_name)
 
 
 def _key(request: Request, api_keys: ApiKeyStore, scope: Scope) -> Key:

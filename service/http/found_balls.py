@@ -68,7 +68,7 @@ class RequestBalls:
 
     @property
     def origin(self) -> tuple[float, float]:
-        """Where the frame begins in the square, pixels of the frame."""
+        """Origin of the frame in the square, in pixels of the frame."""
         side = self.box.side
         return (side - self.box.width) / 2, (side - self.box.height) / 2
 
@@ -88,7 +88,7 @@ class RequestBalls:
 
     @property
     def on_level_ground(self) -> list[bool]:
-        """Whether the model reads the ground under each ball's kinematic path as level."""
+        """True for balls whose kinematic path lies on level ground, according to the model."""
         paths = self._kinematic(np.arange(LEVEL_STEPS)).positions / HALF - 1
         slopes = mean_slopes(self.found.said["ground"][0], paths)
         return (slopes < self._source.level_slope).tolist()

@@ -18,8 +18,8 @@ from starlette.exceptions import HTTPException
 
 from rollcast.schemas import Fault, Problem
 from service.errors import (
+    FieldError,
     InvalidValueError,
-    Mistake,
     ModelUnavailableError,
     NotReadyError,
     OutOfMemoryError,
@@ -49,7 +49,7 @@ PASSING = (
 LONGEST_VALUE = 100
 """Characters of a wrong value that are sent back."""
 LONGEST_DETAIL = 600
-MAX_MISTAKES = 10
+MAX_FIELD_ERRORS = 10
 """Wrong values that an answer names; there may be more."""
 MOST_FAULTS = 4
 """Maximum number of invalid values in the text of a protocol error."""
@@ -68,13 +68,15 @@ def document(error: ServiceError) -> str:
 
 def invalid_values(errors: Sequence[Any]) -> ServiceError:
     """Translate pydantic's list of errors, in which a model's own check names its field."""
-    mistakes = [_mistake(error) for error in errors[:MAX_MISTAKES]]
-    if len(mistakes) == 1:
-        return InvalidValueError.at(mistakes[0].field, mistakes[0].value, mistakes[0].expected)
-    fields = ", ".join(_shorten(mistake.field) for mistake in mistakes)
-    beyond = len(errors) - len(mistakes)
+    field_errors = [_field_error(error) for error in errors[:MAX_FIELD_ERRORS]]
+    if len(field_errors) == 1:
+        return InvalidValueError.at(
+            field_errors[0].field, field_errors[0].value, field_errors[0].expected
+        )
+    fields = ", ".join(_shorten(field_error.field) for field_error in field_errors)
+    beyond = len(errors) - len(field_errors)
     more = f" and {beyond} more" if beyond else ""
-    return InvalidValueError(f"{len(errors)} values are invalid: {fields}{more}", mistakes)
+    return InvalidValueError(f"{len(errors)} values are invalid: {fields}{more}", field_errors)
 
 
 def in_plain_words(message: str) -> str:
@@ -82,10 +84,10 @@ def in_plain_words(message: str) -> str:
     return message.removeprefix("Input should be ").removeprefix("Value error, ")
 
 
-def _mistake(error: Mapping[str, Any]) -> Mistake:
+def _field_error(error: Mapping[str, Any]) -> FieldError:
     context: dict[str, Any] = error.get("ctx", {})
     if "field" in context:
-        return Mistake(context["field"], context["value"], context["expected"])
+        return FieldError(context["field"], context["value"], context["expected"])
     expected = {
         "missing": "a value, the field is required",
         "extra_forbidden": "no such field",
@@ -94,7 +96,7 @@ def _mistake(error: Mapping[str, Any]) -> Mistake:
         "model_type": "an object",
     }.get(error["type"], in_plain_words(error["msg"]))
     value = None if error["type"] == "missing" else _presentable(error["input"])
-    return Mistake(_path(error["loc"]), value, expected)
+    return FieldError(_path(error["loc"]), value, expected)
 
 
 def _path(location: Sequence[int | str]) -> str:
@@ -148,11 +150,11 @@ async def _answer(request: Request, error: Exception) -> Response:
 def _refusal(error: ServiceError) -> Problem:
     faults = [
         Fault(
-            field=_shorten(mistake.field),
-            value=_presentable(mistake.value),
-            expected=_shorten(mistake.expected, LONGEST_DETAIL),
+            field=_shorten(field_error.field),
+            value=_presentable(field_error.value),
+            expected=_shorten(field_error.expected, LONGEST_DETAIL),
         )
-        for mistake in error.mistakes
+        for field_error in error.field_errors
     ]
     first = faults[0] if faults else Fault()
     return Problem(
@@ -179,11 +181,11 @@ def _protocol_error(problem: Problem, headers: Mapping[str, str]) -> Response:
     """Write a problem as the protocol does; it has no status for a value that is wrong."""
     status = HTTPStatus.BAD_REQUEST if problem.status == 422 else problem.status
     faults = problem.errors or ([] if problem.field is None else [problem])
-    told = "; ".join(
+    detail = "; ".join(
         f"{fault.field} is {_in_words(fault.value)}, expected {fault.expected}"
         for fault in faults[:MOST_FAULTS]
     )
-    error = InferError(error=told or problem.detail)
+    error = InferError(error=detail or problem.detail)
     return Response(
         json.dumps(error.model_dump()), status, headers=headers, media_type="application/json"
     )

@@ -1,9 +1,15 @@
 """Plain technical English: the component is the subject, and the field's terms are used.
 
-``docs/glossary.md`` has the terms. The words below stood in messages and documents instead of them.
+``docs/glossary.md`` has the terms. Pages, settings, messages, help texts and docstrings are checked
+for the words and the clauses that stood in for them. ``UNCHECKED`` lists the modules whose text is
+still to be rewritten.
 """
 
+import ast
 import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -15,29 +21,144 @@ BANNED = re.compile(
     r"|doubts?|the eye|stays put|half radi(us|i)|rig-\w+)\b",
     re.IGNORECASE,
 )
+"""Words of a private language, and people in place of components."""
+CLAUSES = re.compile(
+    r"\b(what (is|was|are|were|has|the|it|they|comes?|goes|came|a|an|every|each|no|there|may)"
+    r"|those (that|of which|who)|that which|whatever (is|was|comes|came|the)|(asks?|tells?) nobody"
+    r"|has not the|so many as|as many as there are|is told of)\b",
+    re.IGNORECASE,
+)
+"""Clauses in place of nouns."""
+SUBJECTLESS = re.compile(r"^(What|Who|That|Those|Whether|Of|Where)\b")
+"""Beginnings of descriptions that lack a noun."""
 PAGES = [
-    ROOT / "README.md",
-    ROOT / "ARCHITECTURE.md",
-    ROOT / "docs" / "index.md",
-    ROOT / "docs" / "glossary.md",
-    *(
-        ROOT / "docs" / "guide" / f"{name}.md"
-        for name in ("networks", "physics", "reading", "start")
-    ),
+    *(ROOT / f"{name}.md" for name in ("README", "ARCHITECTURE", "CHANGELOG", "SECURITY")),
+    *(ROOT / "docs" / f"{name}.md" for name in ("index", "glossary", "benchmarks", "scaling")),
+    ROOT / "docs" / "results.md",
+    ROOT / "docs" / "reproduced.md",
+    *sorted((ROOT / "docs" / "results").glob("*.md")),
+    *sorted((ROOT / "docs" / "guide").glob("*.md")),
 ]
+WIDTH = 120
+"""Characters of a line of prose. Tables, links and generated text may be longer."""
+NARROW = [
+    *(ROOT / f"{name}.md" for name in ("CHANGELOG", "SECURITY", "CONTRIBUTING")),
+    *sorted((ROOT / "docs" / "guide").glob("*.md")),
+]
+SOURCES = ("rollcast", "service", "training")
+UNCHECKED = re.compile(
+    r"rollcast/(manifest|scene|schemas)\.py|rollcast/simulation/rendering\.py"
+    r"|service/http/(image_decoding|prediction)\.py|service/inference/.*"
+    r"|service/serving/(loading|registry)\.py|training/(__main__\.py|data/.*|networks/.*|engine/.*)"
+)
+CALLS = {"Option", "Argument", "Field", "add_argument", "Counter", "Gauge", "Histogram", "FastAPI"}
+"""Functions whose string arguments users read."""
+LOGGED = {"debug", "info", "warning", "error", "exception", "critical"}
+
+
+class Text(NamedTuple):
+    """A text in a source file."""
+
+    file: str
+    line: int
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}: {' '.join(self.text.split())}"
+
+
+def prose(page: Path) -> str:
+    """Return a page without code, file names and targets of links."""
+    text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
+    return re.sub(r"\]\([^)]*\)|`[^`]*`", "", text)
+
+
+def sources() -> Iterator[tuple[str, ast.Module]]:
+    for package in SOURCES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            file = path.relative_to(ROOT).as_posix()
+            if not UNCHECKED.fullmatch(file):
+                yield file, ast.parse(path.read_text("utf-8"))
+
+
+def literal(node: ast.AST) -> str | None:
+    """Return a string literal, with the placeholders of an f-string left out."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if isinstance(node, ast.JoinedStr):
+        return "".join(literal(part) or "" for part in node.values)
+    return None
+
+
+def messages() -> Iterator[Text]:
+    """Yield texts that users read: of exceptions, help, metrics, descriptions and log lines."""
+    for file, tree in sources():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Raise) and node.exc is not None:
+                parts = ast.walk(node.exc)
+            elif isinstance(node, ast.Call) and name_of(node.func) in CALLS | LOGGED:
+                parts = ast.walk(node)
+            else:
+                continue
+            for part in parts:
+                if (text := literal(part)) and " " in text:
+                    yield Text(file, node.lineno, text)
+
+
+def name_of(function: ast.expr) -> str:
+    match function:
+        case ast.Attribute(attr=name) | ast.Name(id=name):
+            return name
+        case _:
+            return ""
+
+
+def docstrings() -> Iterator[Text]:
+    """Yield docstrings of modules, classes and functions."""
+    for file, tree in sources():
+        for node in ast.walk(tree):
+            if isinstance(
+                node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+            ) and (text := ast.get_docstring(node)):
+                yield Text(file, getattr(node, "lineno", 1), text)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_pages_use_the_fields_terms(page):
-    # File names and links to decision records keep their words.
-    text = re.sub(r"\]\([^)]*\)|`[^`]*`", "", page.read_text("utf-8"))
-    assert not BANNED.findall(text)
+    assert not BANNED.findall(prose(page))
+
+
+@pytest.mark.parametrize("page", NARROW, ids=lambda page: page.name)
+def test_lines_of_prose_are_short(page):
+    lines = page.read_text("utf-8").splitlines()
+    assert [
+        line for line in lines if len(line) > WIDTH and not line.startswith(("|", "<!--"))
+    ] == []
 
 
 def test_settings_use_the_fields_terms():
     assert not BANNED.findall(described())
+    assert not CLAUSES.findall(described())
 
 
 def test_attribute_docs_of_settings_do_not_begin_with_a_clause():
     for line in described().splitlines():
         assert not re.match(r"\s+(Whether|What|Who|That|Those)\b", line), line
+
+
+def test_messages_use_the_fields_terms():
+    found = list(messages())
+    assert len(found) > 300
+    assert [str(one) for one in found if BANNED.search(one.text)] == []
+    assert [str(one) for one in found if CLAUSES.search(one.text)] == []
+
+
+def test_docstrings_use_the_fields_terms():
+    found = list(docstrings())
+    assert len(found) > 1000
+    assert [str(one) for one in found if BANNED.search(one.text)] == []
+
+
+def test_docstrings_of_the_package_and_the_service_begin_with_a_noun_or_a_verb():
+    found = [one for one in docstrings() if not one.file.startswith("training")]
+    assert [str(one) for one in found if SUBJECTLESS.match(one.text)] == []

@@ -1,8 +1,8 @@
-"""The simulator itself as a forecaster, which the paper lacks: how much error is the problem's own.
+"""The simulator as a forecaster, a baseline that the paper lacks: the irreducible error.
 
-It knows the surface and the material. Started from the true state it shows what its own restart
-costs; started from a state estimated of four noisy positions, what nobody who sees only four
-frames that exactly can avoid.
+It uses the true surface and material. Started from the true state, it measures the error of the
+restart; started from a state estimated from four noisy positions, the error that no method with
+four frames of that accuracy can avoid.
 """
 
 import math

@@ -90,13 +90,13 @@ class OneBall(nn.Module):
         """States [B, T, 2 or 5] from t = 0 on."""
         given = self.begin(self.encoder(frames_BKHW3))
         held: list[tuple[Tensor, Tensor] | None] = [None] * LAYERS
-        told: list[Tensor] = []
+        outputs: list[Tensor] = []
         for _ in range(horizon):
             for layer, cell in enumerate(self.memory):
                 held[layer] = state = cell(given, held[layer])
                 given = state[0]
-            told.append(self.decoder(given))
-        return torch.stack(told, dim=1)
+            outputs.append(self.decoder(given))
+        return torch.stack(outputs, dim=1)
 
 
 class VLstm(Learner[Batch]):
@@ -107,8 +107,8 @@ class VLstm(Learner[Batch]):
     horizon
         T_train.
     imagenet
-        AlexNet of ImageNet (``training.networks.imagenet``); without it the encoders begin from
-        nothing.
+        AlexNet of ImageNet (``training.networks.imagenet``); without it the encoders start from
+        random weights.
     """
 
     def __init__(

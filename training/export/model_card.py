@@ -1,4 +1,4 @@
-"""The card of an exported model: what it is, what it was trained on, how well it does."""
+"""Model card of an exported model: architecture, training data, measured errors."""
 
 from collections.abc import Sequence
 
@@ -6,6 +6,17 @@ from rollcast.manifest import CovarianceSource, MetricRow
 from training.data.clip_dataset import EVERY
 from training.evaluation.evaluate import markdown_table
 from training.export.spec import Trained
+
+ARCHITECTURES = {
+    "field": "FieldNet, a network with an explicit state: ground map, ball positions, velocities",
+    "zoomed": "FieldNet with a second, zoomed pass of its perception",
+    "sighted": "a recurrent network with an 8 x 8 x 128 state from FieldNet's perception",
+    "compact": "the paper's network with a smaller encoder and an 8 x 8 x 128 state",
+    "paper": "the paper's network with VGG16 and an 8 x 8 x 512 state",
+}
+"""Architecture of every preset, in words."""
+EXPLICIT = frozenset({"field", "zoomed", "sighted"})
+"""Presets whose networks are also supervised by the simulator's ground, heights and velocities."""
 
 
 def model_card(
@@ -16,7 +27,7 @@ def model_card(
     Parameters
     ----------
     rows
-        What was measured on the validation and the test split.
+        Errors on the validation and the test split.
     """
     recipe, name, horizon = trained.recipe, trained.name, trained.horizon
     source = {
@@ -27,13 +38,13 @@ def model_card(
     if recipe.task.final_step is not None:
         frames += f" and the one of step {recipe.task.final_step}"
     if trained.filmed is None:
-        whence = "simulated scenes"
+        origin = "simulated scenes"
         limits = "simulated scenes of these scenarios only"
-        measured = "scenes that training never saw, from the fixed test start"
+        measured = "scenes that were not used in training, from the fixed test start"
     else:
-        whence = "windows of clips"
+        origin = "windows of clips"
         limits = "the set-up of these clips, their camera, light and balls only"
-        measured = f"windows of clips that training never saw, one every {EVERY} frames"
+        measured = f"windows of clips that were not used in training, one every {EVERY} frames"
     sources = ", ".join(f"{count} {source}" for source, count in trained.sources.items())
     others = [member.name for member in recipe.members if member.name != name]
     together = (
@@ -42,18 +53,19 @@ def model_card(
     return f"""# {name}@{version}
 
 {recipe.member(name).variant} ({recipe.preset} preset), {recipe.task.objects} ball(s), scenarios
-{", ".join(trained.scenarios)}. It sees {frames} at {trained.frame_rate_hz:g} Hz and was trained
+{", ".join(trained.scenarios)}. It observes {frames} at {trained.frame_rate_hz:g} Hz and was trained
 to forecast {horizon} steps.
 
-- Trained on {trained.sequences:,} sequences from {whence}: {sources}.{together}
+- Architecture: {ARCHITECTURES[recipe.preset]}. Supervision: {_supervision(trained)}.
+- Trained on {trained.sequences:,} sequences from {origin}: {sources}.{together}
 - Uncertainty: {source}.
 - Limits: {limits}; beyond step {horizon} it
-  extrapolates past its training.
+  extrapolates beyond its training.
 - Licence: {trained.licence}.
 
 ## Measured
 
-128-pixel units, mean over {measured}; T is the
+Errors in pixels of 128 x 128 frames, mean over {measured}; T is the
 horizon, so the error is that of step T - 1. "Constant position" and "linear extrapolation"
 (through ten true positions, t = -3..6) are measured on the same scenes.
 
@@ -65,3 +77,13 @@ horizon, so the error is that of step T - 1. "Constant position" and "linear ext
 
 {markdown_table([row for row in rows if row.split == "validation"])}
 """
+
+
+def _supervision(trained: Trained) -> str:
+    """Name the quantities that supervised a network."""
+    parts = ["positions"]
+    if trained.recipe.task.angular_velocity:
+        parts.append("angular velocities")
+    if trained.recipe.preset in EXPLICIT and trained.filmed is None:
+        parts += ["ground maps", "heights", "3-D velocities"]
+    return ", ".join(parts)

@@ -42,20 +42,20 @@ _OWN_PREFIX = "network."
 
 
 class EyeGraph(torch.nn.Module):
-    """The eye's graph: the same for all networks with the same eye, so a service loads it once."""
+    """Perception graph, shared by all networks with the same perception weights."""
 
     def __init__(self, eye: Eye) -> None:
         super().__init__()
         self.eye = eye
 
     def forward(self, frames: Tensor) -> tuple[Tensor, ...]:
-        """Frames to the places in the last of them and READ_NAMES, as positional tensors."""
+        """Return the positions in the last frame and READ_NAMES, as positional tensors."""
         positions, *read, _ = self.eye(frames)
         return positions[-1][:, :, -1], *read
 
 
 class ReadEncoderGraph(torch.nn.Module):
-    """The encoder's graph of a network with an eye, behind the eye's."""
+    """Encoder graph of a network with a separate perception graph."""
 
     def __init__(self, network: EyedNetwork) -> None:
         super().__init__()

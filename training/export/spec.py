@@ -43,12 +43,12 @@ class Trained:
 
     @property
     def frame_rate_hz(self) -> float:
-        """Frames a second of what it knows."""
+        """Frame rate of the training data, in Hz."""
         return FRAME_RATE_HZ if self.filmed is None else self.filmed.frame_rate_hz
 
     @property
     def licence(self) -> str:
-        """Of its weights; those from somebody's own clips are theirs."""
+        """Licence of the weights; not stated for weights from a user's own clips."""
         return LICENCE if self.filmed is None else "not stated"
 
     @property

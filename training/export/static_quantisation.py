@@ -92,11 +92,13 @@ def quantise(source: Path, version: int, test_scenes: int, workers: int) -> Mani
             if (row.split, row.horizon) == ("validation", horizon)
         }
         changes = ", ".join(f"{change:+.2f} px ({scenario})" for scenario, change in loss.items())
-        said = f"{gain:.2f} times as fast up to T={horizon}, its error there changes by {changes}"
+        comparison = (
+            f"{gain:.2f} times as fast up to T={horizon}, with an error change of {changes}"
+        )
         if gain < LEAST_GAIN or max(loss.values()) > MOST_LOSS_PX:
-            raise NotWorthItError(f"{float32.label} in 8 bits: {said}; nothing is written")
+            raise NotWorthItError(f"{float32.label} in 8 bits: {comparison}; nothing is written")
         parity = _write_golden(fast, source / GOLDEN_FILE, folder / GOLDEN_FILE, horizon)
-        card = _card(float32, version, said, summary)
+        card = _card(float32, version, comparison, summary)
         (folder / CARD_FILE).write_text(card, encoding="utf-8")
         changed = {
             "version": version,
@@ -104,7 +106,7 @@ def quantise(source: Path, version: int, test_scenes: int, workers: int) -> Mani
             "covariance": summary.covariance,
             "metrics": summary.rows,
             "validation_error_px": summary.validation_error_px,
-            "training": float32.training | {"quantised": f"{float32.label}: {said}"},
+            "training": float32.training | {"quantised": f"{float32.label}: {comparison}"},
             "parity": parity,
             "golden_tolerance": {name: TOLERANCE[name] for name in float32.output_names},
             "files": hashes(folder),
@@ -176,60 +178,66 @@ def _forecasts(
     for part in sets:
         batches = [part.windows[k : k + BATCH] for k in range(0, len(part.windows), BATCH)]
         rolled = [graphs.roll(collate(b)["frames"].numpy(), part.horizon) for b in batches]
-        said = {name: np.concatenate([batch[name] for batch in rolled]) for name in rolled[0]}
+        outputs = {name: np.concatenate([batch[name] for batch in rolled]) for name in rolled[0]}
         made[part.scenario] = beside_truth(
-            part.windows, said["positions"], said.get("covariances"), said.get("angular_velocities")
+            part.windows,
+            outputs["positions"],
+            outputs.get("covariances"),
+            outputs.get("angular_velocities"),
         )
     return made
 
 
 def _gain(slow: Graphs, fast: Graphs, part: EvaluationSet[Scenario], horizon: int) -> float:
-    """How many times as fast a lone forecast is, on one thread: taken by turns, medians."""
-    spent: dict[Graphs, list[float]] = {slow: [], fast: []}
+    """Speed-up of a single forecast on one thread: ratio of medians, measured in turns."""
+    durations: dict[Graphs, list[float]] = {slow: [], fast: []}
     for window in part.windows[:TIMED_FORECASTS]:
         frames = collate([window])["frames"].numpy()
-        for graphs, seconds in spent.items():
+        for graphs, seconds in durations.items():
             began = time.perf_counter()
             graphs.roll(frames, horizon)
             seconds.append(time.perf_counter() - began)
-    return float(np.median(spent[slow]) / np.median(spent[fast]))
+    return float(np.median(durations[slow]) / np.median(durations[fast]))
 
 
 def _write_golden(graphs: Graphs, source: Path, to: Path, horizon: int) -> Parity:
-    """Keep what the graphs say of the golden frames, and tell how far off torch's answers it is.
+    """Store the graphs' outputs for the golden frames; return the differences from torch.
 
     Raises
     ------
     NotWorthItError
-        When that is more than TOLERANCE.
+        If a difference exceeds TOLERANCE.
     """
     with np.load(source) as golden:
         frames = golden[FRAMES_INPUT]
         torchs = {name: golden[name] for name in golden.files if name != FRAMES_INPUT}
-    said = graphs.roll(frames, horizon)
+    outputs = graphs.roll(frames, horizon)
     off: dict[OutputName, float] = {
         name: float(np.abs(value - torchs[name][:, :, : value.shape[2]]).max())
-        for name, value in said.items()
+        for name, value in outputs.items()
     }
     for name, difference in off.items():
         if difference > TOLERANCE[name]:
-            raise NotWorthItError(f"{name}: {difference} off torch's, over {TOLERANCE[name]}")
-    np.savez_compressed(to, allow_pickle=False, frames=frames, **said)
+            raise NotWorthItError(
+                f"{name}: {difference} different from torch, over {TOLERANCE[name]}"
+            )
+    np.savez_compressed(to, allow_pickle=False, frames=frames, **outputs)
     return Parity(max_abs_error=off, tolerance={name: TOLERANCE[name] for name in off})
 
 
-def _card(float32: Manifest, version: int, said: str, summary: EvaluationSummary) -> str:
+def _card(float32: Manifest, version: int, comparison: str, summary: EvaluationSummary) -> str:
     """Model card in Markdown."""
     return f"""# {float32.name}@{version}
 
-{float32.label} with its eye's convolutions in 8 bits: {said}.
-Measured on {VALIDATION_SCENES} validation scenes a scenario, and on one thread of a processor with
-instructions for products of 8 bits; without them it is less fast. What the card of {float32.label}
-says of its training, its limits and its licence holds for this version too.
+{float32.label} with the convolutions of its perception in 8 bits: {comparison}.
+Measured on {VALIDATION_SCENES} validation scenes per scenario, on one thread of a processor with
+8-bit dot product instructions; without them the speed-up is smaller. The training, the limits and
+the licence in the card of {float32.label} apply to this version too.
 
 ## Measured
 
-128-pixel units, as in the card of {float32.label}, with the graphs of this version.
+Errors in pixels of 128 x 128 frames, as in the card of {float32.label}, with the graphs of this
+version.
 
 ### Test
 

@@ -109,9 +109,9 @@ class DetectionLoss:
 
 
 class RefinementLoss:
-    """What patches show of balls, and the balls at t = 0, against the truth.
+    """Loss of the patch refiner's outputs and of the ball states at t = 0.
 
-    Doubt listens without changing what is said of places.
+    The covariance loss has no gradient with respect to the positions.
     """
 
     rough = 1.0

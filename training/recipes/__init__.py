@@ -70,7 +70,7 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
 
 
 def summary(name: str) -> str:
-    """Return the first line of what a recipe says of itself."""
+    """Return the first line of a recipe's docstring."""
     made = RECIPES[name]
     function = made.func if isinstance(made, partial) else made
     return (function.__doc__ or "").strip().splitlines()[0].replace("``", "")

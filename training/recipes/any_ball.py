@@ -1,4 +1,4 @@
-"""The network for any number of balls: what it begins with, and what it is trained on."""
+"""The network for any number of balls: its initial weights and its training scenes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -28,13 +28,13 @@ ANY_BALL_DATA = (
 )
 """Scenes of one, two and three balls; planar scenes have up to eight."""
 VALIDATION_DATA = tuple(replace(part, scenes=50) for part in ANY_BALL_DATA)
-"""The same kinds of scenes, fewer of each."""
+"""Validation scenes of the same kinds, fewer of each."""
 
 
 def ball_sources(
     data: Sequence[DataShare] = ANY_BALL_DATA, split: Split = "training", workers: int = 1
 ) -> list[BallSource]:
-    """Return the simulated scenes, simulated where they are missing."""
+    """Return the simulated scenes, simulating missing ones."""
     sources: list[BallSource] = []
     for part in data:
         shards = simulate_split(part.source, split, part.scenes, workers)
@@ -44,10 +44,10 @@ def ball_sources(
 
 
 def warm_network(one_ball: Mapping[str, Tensor], several: Mapping[str, Tensor]) -> AnyBallNet:
-    """Return a network that begins with what the networks of a fixed number of balls know.
+    """Return a network initialised from networks for a fixed number of balls.
 
-    Eye, motion and doubt are those of FieldNet's for one ball, encounters those for several; with
-    nobody near, a ball moves exactly as there.
+    Perception, motion and covariance are those of FieldNet for one ball, pair interactions those
+    for several. A ball without close neighbours moves exactly as in FieldNet for one ball.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""FieldNet's eye in front of many appearances: the paper's scenes and other people's pictures."""
+"""FieldNet's perception trained on varied appearances, beside those of the paper."""
 
 from dataclasses import replace
 
@@ -22,14 +22,14 @@ APPEARANCE_DATA = (
     DataShare(Source("ellipsoid", variety=OTHER_MATERIALS), 400, 0.04, 200),
     DataShare(Source("table"), 1000, 0.12, 140),
 )
-"""The paper's distributions, and beside each of them everything that a scene can be asked for."""
+"""The paper's distributions, each beside a distribution that varies all scene parameters."""
 
 
 def field_one_ball_appearance() -> Recipe:
-    """Train the eye alone on many appearances, of a network that moves well (``--init``).
+    """Train FieldNet's perception on varied appearances (``--init`` with a trained network).
 
-    The motion stays; rollouts come at the end, as in ``field-one-ball-seeing``. Doubt has to
-    follow.
+    The motion is frozen; rollouts follow at the end, as in ``field-one-ball-seeing``. The
+    covariance must be trained afterwards.
     """
     recipe = field_one_ball()
     assert recipe.explicit is not None

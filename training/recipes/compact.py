@@ -1,4 +1,4 @@
-"""The compact preset: the paper's networks, which learn to see through their forecasts."""
+"""The compact preset: the paper's networks with a smaller encoder."""
 
 from dataclasses import replace
 
@@ -15,16 +15,16 @@ ONE_BALL_DATA = (
     DataShare(Source("hemisphere", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
     DataShare(Source("ellipsoid", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
 )
-"""Three scenarios at the usual radius, and a few small balls so that the eye knows them too.
+"""Three scenarios at the default radius, and a few small balls.
 
-Ellipsoids, of which the hemisphere is one, and heightfields are furthest from their aim.
+Ellipsoids, which include hemispheres, and heightfields have the largest errors.
 """
 
 
 def one_ball() -> Recipe:
-    """PosNet, DispNet and ProbNet for one ball in all scenarios, from nothing.
+    """PosNet, DispNet and ProbNet for one ball in all scenarios, from random weights.
 
-    The rollout's early steps weigh more: a plain mean loses their precision.
+    Early steps of the rollout have larger weights, because a plain mean reduces their precision.
     """
     return Recipe(
         name="one-ball",
@@ -40,7 +40,7 @@ def one_ball() -> Recipe:
 
 
 def one_ball_between() -> Recipe:
-    """InterpNet for one ball in all scenarios; it sees step 39."""
+    """InterpNet for one ball in all scenarios, with the frame of step 39."""
     return replace(
         one_ball(),
         name="one-ball-between",
@@ -66,7 +66,7 @@ def several_balls(objects: int) -> Recipe:
 
 
 def several_balls_between(objects: int) -> Recipe:
-    """InterpNet for two or three balls; it sees step 29."""
+    """InterpNet for two or three balls, with the frame of step 29."""
     return replace(
         several_balls(objects),
         name=f"{objects}-balls-between",
@@ -77,7 +77,7 @@ def several_balls_between(objects: int) -> Recipe:
 
 
 def extrapolating(suffix: str) -> tuple[Member, ...]:
-    """Networks that see four frames; the suffix tells their exported models apart."""
+    """Networks of four frames; the suffix distinguishes their exported models."""
     return (
         Member(f"posnet{suffix}", "posnet", DistanceLoss(halving=8)),
         Member(f"dispnet{suffix}", "dispnet", DistanceLoss(halving=8), weight=0.5),
@@ -86,5 +86,5 @@ def extrapolating(suffix: str) -> tuple[Member, ...]:
 
 
 def interpolating(suffix: str) -> Member:
-    """Return the network that sees the final frame too; its hardest steps are in the middle."""
+    """Return the network with a final frame; its errors are largest in the middle."""
     return Member(f"interpnet{suffix}", "interpnet", DistanceLoss(halving=40))

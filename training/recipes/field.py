@@ -1,4 +1,4 @@
-"""FieldNet: an eye that is taught directly, and balls with an explicit state."""
+"""FieldNet: directly supervised perception, and balls with an explicit state."""
 
 from dataclasses import replace
 
@@ -22,11 +22,14 @@ FIELD_DATA = (
     DataShare(Source("hemisphere", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
     DataShare(Source("ellipsoid", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
 )
-"""The same with more scenes: what limits an explicit state is the eye."""
+"""The same distributions with more scenes, because the perception limits an explicit state."""
 
 
 def field_one_ball() -> Recipe:
-    """FieldNet for one ball in all scenarios, from nothing: eye and motion first, then both."""
+    """FieldNet for one ball in all scenarios, from random weights.
+
+    Perception and motion are trained separately first, then together.
+    """
     return Recipe(
         name="field-one-ball",
         preset="field",
@@ -48,16 +51,17 @@ def field_one_ball() -> Recipe:
 
 
 def field_one_ball_continued() -> Recipe:
-    """Train the same from weights that already see (``--init``)."""
+    """Continue the training of FieldNet for one ball (``--init``)."""
     return replace(
         continued(field_one_ball()), name="field-one-ball-continued", sequences=128_000, seed=4
     )
 
 
 def field_one_ball_seeing() -> Recipe:
-    """Train the eye alone, of a network that moves well (``--init``); doubt has to follow.
+    """Train the perception of a trained FieldNet (``--init``), without its motion.
 
-    Rollouts come in the end: from frames alone an eye learns several times as fast.
+    Rollouts follow at the end, because perception learns several times as fast without them. The
+    covariance must be trained afterwards.
     """
     recipe = field_one_ball()
     assert recipe.explicit is not None
@@ -73,10 +77,10 @@ def field_one_ball_seeing() -> Recipe:
 
 
 def field_one_ball_rolling() -> Recipe:
-    """Train the motion alone, over what a taught eye reads (``--init``).
+    """Train the motion of a trained FieldNet (``--init``), with frozen perception.
 
-    Slowly, all batches alike, and not to T_gen: beyond some 30 steps on heightfields the gradients
-    throw it off.
+    The learning rate is small and constant, and the horizon below T_gen: beyond about 30 steps on
+    heightfields, the gradients destabilise the training.
     """
     recipe = field_one_ball()
     assert recipe.explicit is not None
@@ -96,9 +100,9 @@ def field_one_ball_rolling() -> Recipe:
 
 
 def field_one_ball_doubt() -> Recipe:
-    """Train what the motion is sure of, and nothing else, over a taught network (``--init``).
+    """Train the covariance of a trained FieldNet (``--init``), up to T_gen.
 
-    Up to T_gen: nothing is learned through the rollout, so its gradients cannot throw it off.
+    No gradients pass through the rollout, so the long horizon does not destabilise the training.
     """
     recipe = field_one_ball_rolling()
     motion = ("layers.", "change.", "linear.")
@@ -120,9 +124,10 @@ def field_one_ball_doubt() -> Recipe:
 
 
 def field_several_balls(objects: int) -> Recipe:
-    """FieldNet for two or three balls in ellipsoidal bowls, from one ball's (``--init``).
+    """FieldNet for two or three balls in ellipsoidal bowls, from one for one ball (``--init``).
 
-    Encounters are new to it, so it practises them while the eye learns to tell the balls apart.
+    Pair interactions are trained from true states while the perception learns to distinguish the
+    balls.
     """
     fresh = field_one_ball()
     assert fresh.explicit is not None
@@ -144,12 +149,12 @@ def field_several_balls(objects: int) -> Recipe:
 
 
 def field_one_ball_between() -> Recipe:
-    """FieldNet that sees the final frame: its bend learns, over a taught network (``--init``)."""
+    """FieldNet with a final frame: trains the endpoint correction of a FieldNet (``--init``)."""
     return _between(field_one_ball(), "field-one-ball-between", "fieldnet-between", final_step=39)
 
 
 def field_several_balls_between(objects: int) -> Recipe:
-    """FieldNet for two or three balls that sees the final frame (``--init``)."""
+    """FieldNet with a final frame for two or three balls (``--init``)."""
     name, member = f"field-{objects}-balls-between", f"fieldnet-{objects}-between"
     recipe = _between(field_several_balls(objects), name, member, final_step=29)
     # Ways in bowls end well by themselves: there is little to learn.
@@ -157,7 +162,7 @@ def field_several_balls_between(objects: int) -> Recipe:
 
 
 def _between(recipe: Recipe, name: str, member: str, final_step: int) -> Recipe:
-    """Return a recipe for what bends a way: eye and motion stay, so windows are seen only once."""
+    """Return a recipe for the endpoint correction; perception and motion are frozen."""
     return replace(
         recipe,
         name=name,
@@ -175,7 +180,7 @@ def _between(recipe: Recipe, name: str, member: str, final_step: int) -> Recipe:
 
 
 def _explicit(name: str, halving: float, outlier: float = 3.0) -> Member:
-    """Return the network with an explicit state, which also says how sure it is."""
+    """Return the network with an explicit state and a predicted covariance."""
     # The paper's regulariser would hold a variance at 16 px^2 where the errors' is 100 px^2.
     likelihood = LikelihoodLoss(halving, regulariser=0.0, outlier=outlier)
     distance = DistanceLoss(halving, rounding=0.1)

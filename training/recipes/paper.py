@@ -20,10 +20,10 @@ T_TRAIN = 20
 
 
 def tensorflows_rmsprop(groups: Iterable[dict[str, Any]], rate: float) -> torch.optim.RMSprop:
-    """Make RMSProp as TensorFlow 1.3 has it, which the paper used.
+    """Create RMSProp as in TensorFlow 1.3, which the paper used.
 
-    Its mean squares begin with ones, so while gradients are small its steps grow slowly. Torch's
-    begin with zeros: the first steps are ten times the rate, and VGG16's rectifiers die of them
+    Its mean squares start at one, so steps grow slowly while gradients are small. In torch they
+    start at zero: the first steps are ten times the learning rate, and rectifiers of VGG16 die
     (docs/experiments.md).
     """
     optimiser = torch.optim.RMSprop(groups, rate, alpha=0.9, eps=1e-5)
@@ -35,25 +35,25 @@ def tensorflows_rmsprop(groups: Iterable[dict[str, Any]], rate: float) -> torch.
 
 
 def paper_posnet() -> Recipe:
-    """PosNet as published, on ellipsoidal bowls; give it ImageNet's weights (``--imagenet``)."""
+    """PosNet as published, on ellipsoidal bowls; requires ImageNet weights (``--imagenet``)."""
     return _published("posnet", SquaredLoss(), 1 / PIXEL_UNIT**2)
 
 
 def paper_dispnet() -> Recipe:
-    """DispNet as published, on ellipsoidal bowls; give it ImageNet's weights (``--imagenet``)."""
+    """DispNet as published, on ellipsoidal bowls; requires ImageNet weights (``--imagenet``)."""
     return _published("dispnet", SquaredLoss(), 1 / PIXEL_UNIT**2)
 
 
 def paper_probnet() -> Recipe:
-    """ProbNet as published, on ellipsoidal bowls; give it ImageNet's weights (``--imagenet``).
+    """ProbNet as published, on ellipsoidal bowls; requires ImageNet weights (``--imagenet``).
 
-    The paper adds the regulariser up over the steps of a forecast, of which the loss is the mean.
+    The paper sums the regulariser over the steps of a forecast, while the loss is a mean.
     """
     return _published("probnet", LikelihoodLoss(math.inf, regulariser=0.01 * T_TRAIN))
 
 
 def paper_interpnet() -> Recipe:
-    """InterpNet as published, on ellipsoidal bowls; give it ImageNet's weights (``--imagenet``)."""
+    """InterpNet as published, on ellipsoidal bowls; requires ImageNet weights (``--imagenet``)."""
     return replace(
         _published("interpnet", SquaredLoss(), 1 / PIXEL_UNIT**2),
         task=Task(final_step=MAX_HORIZON - 1),
@@ -62,7 +62,7 @@ def paper_interpnet() -> Recipe:
 
 
 def _published(variant: str, loss: Loss, weight: float = 1.0) -> Recipe:
-    """Return what the four have in common.
+    """Return the common configuration of the four recipes.
 
     The weights make squared losses those of lengths in halves of the frame.
     """

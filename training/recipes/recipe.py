@@ -1,4 +1,4 @@
-"""What a training run is determined by."""
+"""Configuration of a training run."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ class DataShare:
 
 @dataclass(frozen=True)
 class Milestone:
-    """When a share ``progress`` of the budget is gone, train on forecasts of ``horizon`` steps.
+    """Horizon of the training once a share ``progress`` of the budget is used.
 
     Between milestones the horizon grows step by step: a jump from 10 to 20 destroyed a network
     that stood at 3 px (docs/experiments.md).
@@ -62,27 +62,27 @@ class Member:
     variant: str
     loss: Loss
     weight: float = 1.0
-    """Of its loss among the members'."""
+    """Weight of its loss among the members' losses."""
 
 
 @dataclass(frozen=True)
 class Explicit:
-    """What trains a network with an eye besides its forecasts.
+    """Supervision of an explicit state, in addition to forecasts.
 
     Attributes
     ----------
     reading
-        Loss of what the eye reads of the frames; None for an eye that is taught already.
+        Loss of the perception outputs; None for frozen perception.
     motion
         Loss of balls that are moved from their true states over the true ground, so that motion is
-        learned while the eye cannot see yet; None judges them as forecasts are.
+        trained before the perception is accurate; None uses the loss of forecasts.
     practice
-        Such windows beside every batch; they cost no rendering.
+        Number of windows from true states per batch; they need no rendering.
     curriculum
-        Horizons of the practice.
+        Horizons of the windows from true states.
     motion_rate
-        Learning rate of what moves explicit balls, relative to everything else's: trained motion is
-        thrown off by the rate that an eye needs.
+        Learning rate of the motion, relative to all other parts. The rate for perception would
+        destabilise trained motion.
     """
 
     reading: ReadingLoss | None
@@ -120,30 +120,30 @@ class Recipe:
     optimiser: Callable[[Iterable[dict[str, Any]], float], torch.optim.Optimizer] = adamw
     schedule: Callable[[], Schedule] = Cosine
     heads_alone: float = 0.0
-    """Share of the budget in which only the heads learn: fresh heads would spoil what is shared."""
+    """Share of the budget in which only the heads are trained, to protect shared parts."""
     gradient_clip: float = 2.0
-    """Longest gradient, in multiples of the usual length: one batch cannot throw a rollout off."""
+    """Maximum gradient norm, in multiples of the usual norm."""
     average_decay: float = 0.999
-    """Of the exponential moving average of the weights, which is what gets evaluated."""
+    """Decay of the exponential moving average of the weights, which is evaluated."""
     frozen: tuple[str, ...] = ()
-    """Parts that stay as they are: what the names of their parameters begin with."""
+    """Prefixes of the names of frozen parameters."""
     replay_windows: int = 0
-    """Windows that are seen once, by a taught eye; batches are then drawn from what it read. With
-    none, every batch is seen anew."""
+    """Number of windows whose perception outputs are cached for reuse in batches; with 0, every
+    batch is rendered and processed."""
     validation_scenes: int = 100
     seed: int = 1
 
     explicit: Explicit | None = None
-    """For networks with an explicit state."""
+    """Supervision of networks with an explicit state."""
 
     earlier_horizon: int = 0
-    """Steps of the longest rollouts that trained what is ``frozen``."""
+    """Horizon of the training of the ``frozen`` parts."""
 
     looks: Looks | None = None
     """What training windows look like; None for the paper's look alone."""
 
     def build(self) -> Family:
-        """Make the untrained networks."""
+        """Create the untrained networks."""
         variants = {member.name: member.variant for member in self.members}
         return PRESETS[self.preset](variants, self.task)
 
@@ -158,10 +158,10 @@ class Recipe:
 
 
 def continued(recipe: Recipe) -> Recipe:
-    """Train from weights that already forecast.
+    """Return a recipe that continues the training of weights.
 
-    A convolutional state stays at its last horizon. An explicit one begins with its eye alone
-    again: gradients through a rollout on heightfields are heavy-tailed, and dear.
+    A convolutional state keeps its last horizon. An explicit state starts with perception only,
+    because gradients through rollouts on heightfields are heavy-tailed and expensive.
     """
     longest = recipe.trained_horizon
     explicit = recipe.explicit
@@ -183,17 +183,17 @@ def continued(recipe: Recipe) -> Recipe:
 
 
 def horizon_at(curriculum: tuple[Milestone, ...], progress: float) -> int:
-    """Horizon to train on when a share ``progress`` of the budget is gone."""
+    """Return the training horizon once a share ``progress`` of the budget is used."""
     shares = [milestone.progress for milestone in curriculum]
     horizons = [milestone.horizon for milestone in curriculum]
     return int(np.interp(progress, shares, horizons))
 
 
 def longest_rollout(recipe: Recipe, progress: float) -> int:
-    """Return the steps of the longest rollouts trained on once a share ``progress`` is gone.
+    """Return the longest rollout used in training once a share ``progress`` is used.
 
-    From frames or, where there is practice, from true states. This, not what the recipe is on its
-    way to, is the trained horizon of weights that are kept before the end.
+    Rollouts start from frames or from true states. This is the trained horizon of weights that
+        are saved before the end of the training.
     """
     horizon = max(horizon_at(recipe.curriculum, progress), recipe.earlier_horizon)
     if recipe.explicit is None:

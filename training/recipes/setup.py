@@ -1,4 +1,4 @@
-"""Networks for a user's own set-up, from clips with tracks: positions alone (paper, section 6)."""
+"""Networks for a user's own set-up, from clips with tracks (paper, section 6)."""
 
 from dataclasses import replace
 
@@ -13,14 +13,14 @@ from training.objectives.losses import (
 from training.recipes.recipe import Explicit, Member, Milestone, Recipe
 
 T_TRAIN, T_GEN = 15, 30
-"""Of the paper's real footage. Training reaches T_gen, for its balls never end rolling."""
+"""Horizons of the paper's real footage. Training extends to T_gen."""
 
 
 def setup(objects: int) -> Recipe:
-    """FieldNet for balls that a camera saw, best from one that simulation taught (``--init``).
+    """FieldNet for clips with tracks, preferably from weights of a simulation (``--init``).
 
-    Tracks tell neither heights nor ground nor spin: these stay numbers that forecasts are good
-    with. The eye learns first, then both.
+    Tracks contain no heights, ground or spin, so these remain latent variables. The perception is
+    trained first, then the whole network.
     """
     name = f"setup-{objects}"
     likelihood = LikelihoodLoss(halving=15, regulariser=0.0, outlier=5.0)
@@ -42,9 +42,9 @@ def setup(objects: int) -> Recipe:
 
 
 def setup_seeing(objects: int) -> Recipe:
-    """Train the eye alone, of a network that :func:`setup` has trained (``--init``).
+    """Train only the perception of a network from :func:`setup` (``--init``).
 
-    From frames alone an eye learns several times as fast: what several balls that look alike need.
+    Without rollouts, perception learns several times as fast, which several similar balls need.
     """
     recipe = setup(objects)
     assert recipe.explicit is not None
@@ -60,7 +60,7 @@ def setup_seeing(objects: int) -> Recipe:
 
 
 def setup_continued(objects: int) -> Recipe:
-    """Go on with eye and motion together, of a network that knows both (``--init``)."""
+    """Continue the training of perception and motion together (``--init``)."""
     recipe = setup(objects)
     assert recipe.explicit is not None
     horizons = (Milestone(0, T_TRAIN), Milestone(0.5, T_GEN))

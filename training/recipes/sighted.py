@@ -1,4 +1,4 @@
-"""The paper's networks over a state that begins with what FieldNet's eye reads."""
+"""The paper's networks with a state that is initialised by FieldNet's perception."""
 
 from dataclasses import replace
 
@@ -14,10 +14,10 @@ from training.recipes.recipe import Explicit, Milestone, Recipe
 
 
 def sighted_one_ball() -> Recipe:
-    """PosNet, DispNet and ProbNet for one ball with FieldNet's eye (``--init models/fieldnet/1``).
+    """PosNet, DispNet and ProbNet for one ball, from FieldNet (``--init models/fieldnet/1``).
 
-    The eye stays as it is, so windows are seen once. From what it read of them transition and heads
-    learn what it misreads; from the truth, of which there is no end, how balls move.
+    The perception is frozen, so its outputs are cached. Transition and heads are trained on cached
+    outputs, and on true states of which there are arbitrarily many.
     """
     horizons = (Milestone(0.05, 2), Milestone(0.5, 20))
     return replace(
@@ -35,14 +35,14 @@ def sighted_one_ball() -> Recipe:
 
 
 def sighted_one_ball_between() -> Recipe:
-    """InterpNet with FieldNet's eye, and motion that forecasts already (``--init``)."""
+    """InterpNet for one ball, from FieldNet's perception and trained motion (``--init``)."""
     return _interpolated(sighted_one_ball(), one_ball_between())
 
 
 def sighted_several_balls(objects: int) -> Recipe:
-    """PosNet, DispNet and ProbNet for two or three balls with the eye of FieldNet for as many.
+    """PosNet, DispNet and ProbNet for two or three balls, from FieldNet for as many (``--init``).
 
-    From motion that one ball taught (``--init``): it knows all but the encounters.
+    The motion starts from a network for one ball and lacks only the pair interactions.
     """
     compact, one = several_balls(objects), sighted_one_ball()
     horizons = (Milestone(0, 5), Milestone(0.3, 15))
@@ -62,14 +62,14 @@ def sighted_several_balls(objects: int) -> Recipe:
 
 
 def sighted_several_balls_between(objects: int) -> Recipe:
-    """InterpNet for two or three balls, from eyes and motion for as many (``--init``)."""
+    """InterpNet for two or three balls, from perception and motion for as many (``--init``)."""
     recipe = _interpolated(sighted_several_balls(objects), several_balls_between(objects))
     # Ways in bowls end well by themselves: there is less to learn than with one ball everywhere.
     return replace(recipe, sequences=17_920)
 
 
 def _interpolated(recipe: Recipe, between: Recipe) -> Recipe:
-    """Return a sighted recipe with the members of one that sees the final frame."""
+    """Return a perception-initialised recipe with a final frame."""
     horizons = (Milestone(0, 5), Milestone(0.4, between.trained_horizon))
     assert recipe.explicit is not None
     return replace(

@@ -1,4 +1,4 @@
-"""A first try: a few minutes on one core from nothing to a model that the service serves."""
+"""A first experiment: a model for the service, trained in a few minutes on one core."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from training.recipes.recipe import DataShare, Member, Milestone, Recipe
 
 
 def tiny() -> Recipe:
-    """PosNet for one ball in the hemisphere, from few scenes: a first try of a few minutes."""
+    """PosNet for one ball in the hemisphere, from few scenes, in a few minutes."""
     return replace(
         one_ball(),
         name="tiny",

@@ -222,7 +222,7 @@ def left_out(shot: Shot, others: Sequence[Shot]) -> tuple[SetupClips, list[Measu
     )["it"]
     return of_pool, [
         *measure(of_pool, ("constant position", "linear", "quadratic"), []),
-        *rows_of("fieldnet@1, as simulation taught it", untaught, of_pool.moments),
+        *rows_of("fieldnet@1, trained in simulation only", untaught, of_pool.moments),
         *measure(of_pool, (), [recipe]),
     ]
 

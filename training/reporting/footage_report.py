@@ -52,7 +52,7 @@ class Measured(NamedTuple):
 
 
 class SetupClips:
-    """Clips by split, and the windows that everybody is measured on.
+    """Clips by split, and the evaluation windows shared by all methods.
 
     Parameters
     ----------

@@ -30,13 +30,13 @@ ARCHITECTURES = {
     "field": "FieldNet, explicit state",
     "sighted": "perception-initialised, 8 x 8 x 128 state",
 }
-"""Of presets, in words."""
-TAUGHT_MORE = "ground, heights, 3-D velocities, angular velocities"
-"""What the committed models were told besides the paper's supervision."""
+"""Architecture of every preset, in words."""
+FULL_SUPERVISION = "ground, heights, 3-D velocities, angular velocities"
+"""Supervision of the committed models beyond the paper's."""
 
 
 def ours(recipe: Recipe, member: str, method: str) -> Row:
-    """Return a network of ours, trained from nothing within the tables' budget.
+    """Return a network of ours, trained from random weights within the tables' budget.
 
     Its whole family is trained at once, in one training for all scenarios, and serves its other
     members' rows too.
@@ -141,7 +141,7 @@ def shipped(folder: Path) -> Row:
         manifest.label,
         measure,
         ARCHITECTURES[manifest.preset],
-        TAUGHT_MORE,
+        FULL_SUPERVISION,
         learns=False,
         given_states=False,
         fits=fits,

@@ -129,7 +129,7 @@ def read_query(
     if request.model_name not in (None, manifest.name):
         expected = f"{manifest.name}, the name in the path, or none"
         raise InvalidValueError.at("model_name", request.model_name, expected)
-    outputs = _wanted(request, manifest)
+    outputs = _requested_outputs(request, manifest)
     tensors = _read_tensors(request.inputs, binary, inputs_of(manifest), max_batch)
     if FRAMES_INPUT not in tensors:
         given = ", ".join(tensors) or "empty"
@@ -179,7 +179,7 @@ def _output_shapes(manifest: Manifest) -> dict[OutputName, tuple[int, ...]]:
     }
 
 
-def _wanted(request: InferRequest, manifest: Manifest) -> dict[OutputName, bool]:
+def _requested_outputs(request: InferRequest, manifest: Manifest) -> dict[OutputName, bool]:
     by_default = request.parameters is not None and request.parameters.binary_data_output
     known = list(_output_shapes(manifest))
     wanted: dict[OutputName, bool] = {}
@@ -241,9 +241,9 @@ def _from_binary(given: InferInput, size: int, rest: memoryview, field: str) -> 
         expected = "no data beside parameters.binary_data_size"
         raise InvalidValueError.at(f"{field}.data", given.data, expected)
     size_field = f"{field}.parameters.binary_data_size"
-    due = prod(given.shape) * dtype.itemsize
-    if size != due:
-        expected = f"{due}, for {given.datatype} {given.shape}"
+    expected_size = prod(given.shape) * dtype.itemsize
+    if size != expected_size:
+        expected = f"{expected_size}, for {given.datatype} {given.shape}"
         raise InvalidValueError.at(size_field, size, expected)
     if size > len(rest):
         expected = f"at most the {len(rest)} bytes that remain after the JSON ({LENGTH_HEADER})"

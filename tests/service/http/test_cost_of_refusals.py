@@ -240,7 +240,7 @@ def test_the_cost_of_a_refusal_grows_with_its_bytes(case):
 def test_the_document_of_a_refusal_is_short(case):
     read, size, make = CASES[case]
     for error in refusal(read, make(size)):
-        assert len(error.mistakes) <= 10
+        assert len(error.field_errors) <= 10
         assert len(document(error)) < 8000
 
 

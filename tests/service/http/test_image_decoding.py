@@ -187,9 +187,9 @@ def test_the_smallest_and_the_largest_frame_are_read(side):
 def test_refusals_tell_field_and_value(data, kind, value):
     with pytest.raises(kind) as caught:
         decoded(data)
-    assert [(mistake.field, mistake.value) for mistake in caught.value.mistakes] == [
-        ("frames[0]", value)
-    ]
+    assert [
+        (field_error.field, field_error.value) for field_error in caught.value.field_errors
+    ] == [("frames[0]", value)]
 
 
 def test_the_size_of_a_large_webp_is_refused_before_its_canvas_is_made():

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from service.app import create_app
 from service.errors import (
     BodyTooSlowError,
+    FieldError,
     InvalidValueError,
-    Mistake,
     ModelUnavailableError,
     NotReadyError,
     OutOfMemoryError,
@@ -94,7 +94,7 @@ def test_a_refusal_without_a_value_has_no_members_for_it():
 
 
 def test_several_mistakes_are_all_told_and_the_first_stands_outside():
-    error = InvalidValueError("two", [Mistake("a", 1, "b"), Mistake("c", 2, "d")])
+    error = InvalidValueError("two", [FieldError("a", 1, "b"), FieldError("c", 2, "d")])
     problem = strict(document(error))
     assert problem["errors"] == [
         {"field": "a", "value": 1, "expected": "b"},
@@ -128,8 +128,8 @@ def test_pydantics_errors_are_told_in_our_words(error, field, value, expected):
     kind, place, context = error
     found = {"type": kind, "loc": place, "msg": "Input should be words", "input": "in"}
     refusal = invalid_values([found | {"ctx": context}])
-    (mistake,) = refusal.mistakes
-    assert (mistake.field, mistake.value, mistake.expected) == (field, value, expected)
+    (field_error,) = refusal.field_errors
+    assert (field_error.field, field_error.value, field_error.expected) == (field, value, expected)
 
 
 def test_two_of_pydantics_errors_are_counted():
@@ -138,7 +138,7 @@ def test_two_of_pydantics_errors_are_counted():
     ]
     refusal = invalid_values(found)
     assert refusal.detail == "2 values are invalid: a, b"
-    assert [mistake.field for mistake in refusal.mistakes] == ["a", "b"]
+    assert [field_error.field for field_error in refusal.field_errors] == ["a", "b"]
 
 
 def test_words_of_pydantic_are_left_out():
@@ -159,7 +159,7 @@ FAILURES = {
     "teapot": HTTPException(418, "short", {"X-Tea": "yes"}),
     "failed": RuntimeError("secret"),
     "many": InvalidValueError(
-        "many", [Mistake(name, math.nan if name == "a" else 1, "z") for name in "abcde"]
+        "many", [FieldError(name, math.nan if name == "a" else 1, "z") for name in "abcde"]
     ),
     "none": InvalidValueError.at("a", None, "z"),
 }

@@ -108,9 +108,9 @@ def test_a_number_that_is_none_ends_the_horizon(name, wrong, first):
     numbers[name][0, 1, 2] = wrong
     with pytest.raises(DivergedError) as refused:
         assemble(numbers, PREDICTED, first_step=first)
-    (mistake,) = refused.value.mistakes
-    assert (mistake.field, mistake.value) == ("horizon", first + 4)
-    assert mistake.expected == f"at most {first + 2} for these frames"
+    (field_error,) = refused.value.field_errors
+    assert (field_error.field, field_error.value) == ("horizon", first + 4)
+    assert field_error.expected == f"at most {first + 2} for these frames"
 
 
 def test_the_first_step_may_be_the_wrong_one_already():
