@@ -22,6 +22,9 @@ LEAST_SCORE = 0.1
 LIKELY = 0.5
 """Score from which on a ball is there."""
 
+LEAST_MOVING = 0.25
+"""Product of the confidences that a ball is there and that it moves, from which on it moves."""
+
 Arrays = Mapping[str, np.ndarray]
 Detect = Callable[[UInt8[np.ndarray, "1 4 128 128 3"]], Arrays]
 """Frames to ``places`` [1, C, K, 2], ``radii``, ``scores`` and ``moving`` [1, C] of candidates,
@@ -99,6 +102,13 @@ def find_balls(
 def by_motion(balls: Balls) -> np.ndarray:
     """Index of the balls, those that most surely are there and move first."""
     return np.argsort(-balls.scores * balls.moving, kind="stable")
+
+
+def moving_balls(balls: Balls, most: int) -> np.ndarray:
+    """Index of the balls that move, the surest first: at least one, at most ``most``."""
+    order = by_motion(balls)
+    sure = order[(balls.scores * balls.moving)[order] > LEAST_MOVING]
+    return sure[:most] if len(sure) else order[:1]
 
 
 def votes_at(

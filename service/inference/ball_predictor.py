@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 from rollcast.ball_finding import Arrays as Said
-from rollcast.ball_finding import Balls, by_motion, find_balls
+from rollcast.ball_finding import Balls, by_motion, find_balls, moving_balls
 from rollcast.manifest import (
     BALL_INPUTS,
     DETECTOR_FILE,
@@ -32,9 +32,6 @@ from rollcast.ood import Familiarity
 from rollcast.trajectory import OBSERVED_FRAMES
 from service.errors import InvalidValueError
 from service.inference.rollout import Arrays, Predictor, Step
-
-LEAST_MOVING = 0.5
-"""Confidence from which on a ball that was found is taken to move."""
 
 
 class Session(Protocol):
@@ -199,11 +196,10 @@ class BallRollout(Predictor):
 
 def _wanted(balls: Balls, objects: int | None, most: int) -> np.ndarray:
     """Index of the balls that a request without prompts means, those that move first."""
+    if objects is None:
+        return moving_balls(balls, most)
     order = by_motion(balls)
-    if objects is not None:
-        if len(order) < objects:
-            expected = f"at most {len(order)}, the balls that are found in the frames"
-            raise InvalidValueError.at("objects", objects, expected)
-        return order[:objects]
-    sure = order[(balls.scores * balls.moving)[order] > LEAST_MOVING**2]
-    return sure[:most] if len(sure) else order[:1]
+    if len(order) < objects:
+        expected = f"at most {len(order)}, the balls that are found in the frames"
+        raise InvalidValueError.at("objects", objects, expected)
+    return order[:objects]

@@ -24,7 +24,9 @@ from training.common.settings import runs_folder
 from training.data.shards import Source
 from training.evaluation.error_breakdown import dissected, dissection_table
 from training.evaluation.evaluate import evaluation_sets, markdown_table, metric_rows, run
+from training.evaluation.real_clips import balls_look, eye_look
 from training.evaluation.real_clips import table as real_clips_table
+from training.export.any_ball import BallGraphs
 from training.export.export import export_run, with_covariance
 from training.export.footage import export_setup
 from training.export.load import load_exported
@@ -53,8 +55,12 @@ def real_clips(
     tracks: Annotated[Path, typer.Argument(help="folder of setup.json and one table per clip")],
 ) -> None:
     """Measure how often a model finds the ball in real clips with tracks."""
-    _, network = load_exported(model)
-    for line in real_clips_table(network, clips, tracks):
+    if Manifest.read(model / MANIFEST_FILE).max_objects is None:
+        look = eye_look(load_exported(model)[1])
+    else:
+        graphs = BallGraphs(model)
+        look = balls_look(graphs.detect, graphs.refine)
+    for line in real_clips_table(look, clips, tracks):
         typer.echo(line)
 
 

@@ -1,6 +1,6 @@
-"""Measures how well an eye finds balls in real clips whose balls have been tracked by hand.
+"""Measures how well a model finds balls in real clips whose balls have been tracked by hand.
 
-    python -m training real-clips models/fieldnet/3 CLIPS TRACKS
+    python -m training real-clips models/any-ball/1 CLIPS TRACKS
 
 Such clips are for evaluation: nothing trains on them. CLIPS is a folder of videos. TRACKS has a
 ``setup.json`` with a crop, the balls that are meant and the frames to use of every clip, and a
@@ -9,7 +9,7 @@ table ``NAME.csv`` of each: clip, frame, time, ball, x, y, radius, in pixels of 
 
 import csv
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,9 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
 
+from rollcast.ball_finding import Detect, Refine, find_balls, moving_balls
 from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.scene import MAX_BALLS
 from rollcast.trajectory import OBSERVED_FRAMES
 from rollcast.video import every_frame
 from training.networks.blocks import PIXEL_UNIT
@@ -52,7 +54,7 @@ class ClipWindow(NamedTuple):
 
 @dataclass(frozen=True)
 class Found:
-    """What an eye says of a clip's windows, pixels of 128."""
+    """What a model sees in a clip's windows, pixels of 128."""
 
     position_errors: Float[np.ndarray, " windows"]
     """At t = 0."""
@@ -134,44 +136,68 @@ def _pictures(
             yield number, cv2.resize(cut, size, interpolation=cv2.INTER_AREA)
 
 
-def find(eye: Eye, windows: list[ClipWindow], *, prompted: bool) -> Found:
-    """Measure an eye on windows.
+Look = Callable[[UInt8[np.ndarray, "4 128 128 3"], Float[np.ndarray, "2"] | None], np.ndarray]
+"""Frames, and perhaps a prompt in halves of the frame, to the paths [balls, 4, 2] of the balls that
+a model answers with, in halves of the frame."""
+
+
+def eye_look(network: Network) -> Look:
+    """Return how a network for a fixed number of balls sees: its first ball."""
+    (eye,) = (part for part in network.modules() if isinstance(part, Eye))
+
+    def look(frames: np.ndarray, prompt: np.ndarray | None) -> np.ndarray:
+        prompts = None if prompt is None else torch.from_numpy(prompt[None, None]).float()
+        with torch.inference_mode():
+            reading: Reading = eye(torch.from_numpy(frames[None]), prompts)
+        return reading.seen_positions[-1][0, :1].numpy()
+
+    return look
+
+
+def balls_look(detect: Detect, refine: Refine) -> Look:
+    """Return how a network for any number of balls sees: the prompted ball, or all that move."""
+
+    def look(frames: np.ndarray, prompt: np.ndarray | None) -> np.ndarray:
+        balls, _ = find_balls(detect, refine, frames, None if prompt is None else prompt[None])
+        return balls.places if prompt is not None else balls.places[moving_balls(balls, MAX_BALLS)]
+
+    return look
+
+
+def find(look: Look, windows: list[ClipWindow], *, prompted: bool) -> Found:
+    """Measure a model on windows.
+
+    Of several balls that it answers with, the one nearest to the true place counts.
 
     Parameters
     ----------
     prompted
         Whether it is told roughly where the ball is in the last frame.
     """
-    path = np.stack([window.path for window in windows])
-    frames = torch.from_numpy(np.stack([window.frames for window in windows]))
-    prompts = None
-    if prompted:
-        error = np.random.default_rng(0).normal(0, PROMPT_ERROR_PX, (len(windows), 2))
-        rough = (path[:, -1] + error - PIXEL_UNIT) / PIXEL_UNIT
-        prompts = torch.from_numpy(rough[:, None].astype(np.float32))
-    with torch.inference_mode():
-        reading: Reading = eye(frames, prompts)
-    seen = PIXEL_UNIT + PIXEL_UNIT * reading.seen_positions[-1][:, 0].numpy()
-    off = seen - path
-    errors = np.linalg.norm(off[:, -1], axis=-1)
+    errors = np.random.default_rng(0).normal(0, PROMPT_ERROR_PX, (len(windows), 2))
+    offs: list[np.ndarray] = []
+    for window, error in zip(windows, errors, strict=True):
+        rough = (window.path[-1] + error - PIXEL_UNIT) / PIXEL_UNIT
+        seen = PIXEL_UNIT + PIXEL_UNIT * look(window.frames, rough if prompted else None)
+        off = seen - window.path
+        offs.append(off[np.linalg.norm(off[:, -1], axis=-1).argmin()])
+    off = np.stack(offs)
+    away = np.linalg.norm(off[:, -1], axis=-1)
     radii = np.array([window.radius for window in windows])
     return Found(
-        errors,
-        np.linalg.norm(off[:, -1] - off[:, -2], axis=-1),
-        errors <= np.maximum(radii, FOUND_PX),
+        away, np.linalg.norm(off[:, -1] - off[:, -2], axis=-1), away <= np.maximum(radii, FOUND_PX)
     )
 
 
-def table(network: Network, clips: Path, tracks: Path) -> Iterator[str]:
+def table(look: Look, clips: Path, tracks: Path) -> Iterator[str]:
     """Lines of a table, one for every clip."""
-    (eye,) = (part for part in network.modules() if isinstance(part, Eye))
     setups = json.loads((tracks / "setup.json").read_text(encoding="utf-8"))
     yield "| clip | windows | found, % | displacement, px: median / mean | with a prompt | |"
     yield "|---|---|---|---|---|---|"
     shares: list[tuple[float, float]] = []
     for name, setup in setups.items():
         windows = clip_windows(clips, tracks, name, setup)
-        alone, prompted = (find(eye, windows, prompted=p) for p in (False, True))
+        alone, prompted = (find(look, windows, prompted=p) for p in (False, True))
         shares.append((alone.found.mean(), prompted.found.mean()))
         yield f"| {name} | {len(windows)} | {_cells(alone)} | {_cells(prompted)} |"
     means = 100 * np.mean(shares, axis=0)

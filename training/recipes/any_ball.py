@@ -25,6 +25,9 @@ ANY_BALL_DATA = (
     DataShare(Source("heightfield", variety=Variety()), 300, 0.1, 140),
     DataShare(Source("ellipsoid", 2), 500, 0.17, 200),
     DataShare(Source("ellipsoid", 3), 400, 0.17, 200),
+    DataShare(Source("table"), 1000, 0.16, 140),
+    DataShare(Source("table", 2), 500, 0.08, 140),
+    DataShare(Source("table", 3), 400, 0.08, 140),
 )
 """Scenes of one, two and three balls; planar scenes have up to eight."""
 VALIDATION_DATA = tuple(replace(part, scenes=50) for part in ANY_BALL_DATA)
