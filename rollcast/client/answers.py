@@ -69,17 +69,17 @@ def translated(request: httpx2.Request, proxy: Proxy | None) -> Generator[None]:
 
 def failure(response: httpx2.Response, content: bytes | bytearray) -> ClientError:
     """Return the exception for an answer that reports a failure."""
-    translated: ClientError
+    client_error: ClientError
     try:
         problem = Problem.model_validate_json(content)
         if problem.status != response.status_code:
             raise ValueError(f"its problem document has the status {problem.status}")
-        translated = problem_error(problem)
+        client_error = problem_error(problem)
     except ValueError as error:
-        translated = unexpected(response, _redirection(response) or error)
-    translated.request_id = response.headers.get(REQUEST_ID_HEADER)
-    translated.retry_after_s = _retry_after_s(response)
-    return translated
+        client_error = unexpected(response, _redirection(response) or error)
+    client_error.request_id = response.headers.get(REQUEST_ID_HEADER)
+    client_error.retry_after_s = _retry_after_s(response)
+    return client_error
 
 
 def unexpected(response: httpx2.Response, reason: Exception | str) -> UnexpectedAnswerError:

@@ -137,7 +137,7 @@ def forecast(
 
 def events(whole: PredictResponse) -> bytes:
     """Write a forecast as the events of its stream."""
-    events: list[tuple[str, BaseModel]] = [
+    parts: list[tuple[str, BaseModel]] = [
         (
             "step",
             StreamStep(
@@ -163,9 +163,9 @@ def events(whole: PredictResponse) -> bytes:
     ]
     rest: dict[str, Any] = dict(whole)
     rest["objects"] = balls
-    events.append(("done", StreamDone(**rest)))
+    parts.append(("done", StreamDone(**rest)))
     return "".join(
-        f"event: {name}\ndata: {body.model_dump_json()}\n\n" for name, body in events
+        f"event: {name}\ndata: {body.model_dump_json()}\n\n" for name, body in parts
     ).encode()
 
 

@@ -155,7 +155,7 @@ def _round_trip(service: Client) -> Iterator[Finding]:
         f"{error_px:.1f} px off on average, in {forecast.timing_ms.total:.0f} ms"
     )
     if error_px > LARGEST_ERROR_PX:
-        message += f"; up to {LARGEST_ERROR_PX:g} px are expected"
+        message = f"{message}; up to {LARGEST_ERROR_PX:g} px are expected"
         yield Finding("FAIL", "forecast", message)
     else:
         yield Finding("ok", "forecast", message)

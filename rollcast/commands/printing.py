@@ -32,8 +32,8 @@ def forecast_text(
             f"{crop.x},{crop.y},{crop.size}",
             "time_s: seconds after the last of these frames; x, y: pixels of the uncropped picture",
         ]
-        lines = [f"warning: {warning}" for warning in warnings]
-        return "\n".join([*lines, *_path_table(columns), *lines])
+        warning_lines = [f"warning: {warning}" for warning in warnings]
+        return "\n".join([*lines, *_path_table(columns), *warning_lines])
     return as_json(
         {
             "model": model,

@@ -75,7 +75,7 @@ def test_a_damaged_file_leaves_the_served_version_as_it_was(client, disk):
     disk["line"][0] = replace(disk["line"][0], predictor=None, reason="encoder.onnx is missing")
     refused = client.post(LOAD.format("line"))
     assert refused.status_code == 400
-    assert refused.json() == {"error": "line@1 is refused: encoder.onnx is missing"}
+    assert refused.json() == {"error": "line@1 is rejected: encoder.onnx is missing"}
     assert client.post("/predict", json=body(model="line")).status_code == 200
 
 

@@ -108,7 +108,7 @@ def test_a_changed_file_is_read_again_and_a_broken_one_is_not(keys, monkeypatch,
     assert ring.find(tokens["robot"]) is None
     path.write_text("{")
     assert ring.find(token) == key
-    assert "the keys stay as they were" in caplog.text
+    assert "the previous keys stay in use" in caplog.text
     path.unlink()
     assert ring.find(token) == key
     KeyFile().write(path)

@@ -154,7 +154,7 @@ def test_a_process_that_is_stuck_is_killed_and_the_next_call_answered():
     process = RecycledProcess(recycle_after=10, timeout_s=5)  # the next one's start is in it, too
     pid = submit(process, os.getpid).result()
     stuck, waiting = submit(process, stop_itself), submit(process, max, 1, 2)
-    with pytest.raises(DeadlineExceededError, match="had not ended after 5 s"):
+    with pytest.raises(DeadlineExceededError, match="was not complete after 5 s"):
         stuck.result()
     assert waiting.result() == 2
     with pytest.raises(ProcessLookupError):

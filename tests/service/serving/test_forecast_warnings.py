@@ -48,8 +48,8 @@ def test_familiar_frames_carry_no_warning(client):
 def test_frames_that_look_otherwise_do(client):
     noise = np.random.default_rng(0).integers(0, 256, (4, 64, 64, 3), np.uint8)
     (warning,) = warnings(client, [samples.png(frame) for frame in noise])
-    assert "look unlike those that dot@1 was trained on: their score of " in warning
-    assert "is over 1.5, as it is for 0.6 % of those that look like them." in warning
+    assert "look unlike the training data of dot@1: their out-of-distribution score of " in warning
+    assert "exceeds 1.5 (false-alarm rate 0.6 %)." in warning
 
 
 def test_frames_in_which_nothing_moves_do(client):
@@ -91,7 +91,7 @@ def test_auto_has_another_model_for_unfamiliar_frames_alone(start):
     assert answered(samples.moving_dot()) == (1, [])
     version, told = answered(unlike)
     assert version == 2
-    assert "look unlike those that dot@1 was trained on" in told[0]
+    assert "look unlike the training data of dot@1" in told[0]
     assert told[1].startswith("dot@2 forecasts in place of dot@1")
     version, told = answered(unlike, model="dot")
     assert version == 1
