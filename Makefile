@@ -48,7 +48,10 @@ define step
 	@printf -- '--- %s\n' '$(1)'; $(2) || { printf 'rollcast: FAILED: %s\n' '$(1)' >&2; exit 1; }
 endef
 
-.PHONY: help serve test docs bench browser-test image-test cluster-test scaling fuzz fuzz-api mutate faults soak sbom licences format lint environments lock clean
+# $(call recorded,TARGET,COMMAND): a step whose end is recorded, and shown in docs/reliability.md.
+recorded = $(call step,$(1),.venv/uv/bin/python tools/record.py $(1) $(2))
+
+.PHONY: help serve test docs bench browser-test image-test cluster-test scaling lowest fuzz fuzz-api mutate faults soak sbom licences format lint environments lock clean
 .NOTPARALLEL:
 
 help:
@@ -60,6 +63,7 @@ help:
 	@echo 'make image-test  build the images and try them; needs root, debootstrap, buildah and podman'
 	@echo 'make cluster-test  try the service on Ray: replicas and nodes are killed under load'
 	@echo 'make scaling  measure the service on Ray, on a machine that does nothing else'
+	@echo 'make lowest   the tests of client, service and video with the lowest versions that are allowed'
 	@echo 'make fuzz     any bytes into every reader of input, millions of times; FUZZ_SHARE=0.01 for fewer'
 	@echo 'make fuzz-api  what the description allows, and what it does not, to every route of the real service'
 	@echo 'make mutate   how many changed lines of the core the tests notice'
@@ -86,59 +90,61 @@ test: environments lint
 docs:
 	@tools/environment.sh service
 	@tools/environment.sh tools
-	$(call step,site,.venv/tools/bin/python -m sphinx --quiet --fail-on-warning --keep-going -d build/doctrees docs build/docs)
-	$(call step,links,.venv/tools/bin/lychee --offline --include-fragments=full --no-progress 'build/docs/**/*.html')
-	$(call step,notebook,.venv/tools/bin/python -m docs.notebook --check)
+	$(call recorded,docs,tools/docs.sh)
 	@echo 'rollcast: build/docs/index.html'
 
 bench:
 	@tools/environment.sh service
 	@tools/environment.sh tools
 	@tools/environment.sh peers
-	@.venv/tools/bin/python -m tests.bench.run $(BENCH_ARGS)
+	$(call recorded,bench,.venv/tools/bin/python -m tests.bench.run $(BENCH_ARGS))
 
 browser-test:
 	@tools/environment.sh service
 	@tools/environment.sh tools
-	$(call step,page,.venv/tools/bin/python -m pytest $(BROWSER_TESTS) $(PYTEST_ARGS))
+	$(call recorded,browser-test,.venv/tools/bin/python -m pytest $(BROWSER_TESTS) $(PYTEST_ARGS))
 
 image-test:
 	@tools/environment.sh service
 	@tools/environment.sh tools
-	$(call step,images,.venv/tools/bin/python -m pytest $(IMAGE_TESTS) $(PYTEST_ARGS))
+	$(call recorded,image-test,.venv/tools/bin/python -m pytest $(IMAGE_TESTS) $(PYTEST_ARGS))
 
 cluster-test:
 	@tools/environment.sh service
 	@tools/environment.sh test
-	$(call step,cluster,$(ON_RAY) $(BIN)/python -m pytest -W ignore $(CLUSTER_TESTS) $(PYTEST_ARGS))
+	$(call recorded,cluster-test,env $(ON_RAY) $(BIN)/python -m pytest -W ignore $(CLUSTER_TESTS) $(PYTEST_ARGS))
 
 scaling:
 	@tools/environment.sh service
 	@tools/environment.sh test
 	@$(ON_RAY) $(BIN)/python -W ignore -m tests.cluster.scaling $(SCALING_ARGS)
 
+lowest:
+	@tools/environment.sh uv
+	$(call recorded,lowest,tools/lowest.sh $(PYTEST_ARGS))
+
 fuzz:
 	@tools/environment.sh tools
-	@.venv/tools/bin/python -m tests.fuzz.run --share $(FUZZ_SHARE)
+	$(call recorded,fuzz,.venv/tools/bin/python -m tests.fuzz.run --share $(FUZZ_SHARE))
 
 fuzz-api:
 	@tools/environment.sh service
 	@tools/environment.sh test
-	@$(BIN)/python -m tests.fuzz.api
+	$(call recorded,fuzz-api,$(BIN)/python -m tests.fuzz.api)
 
 mutate:
 	@tools/environment.sh tools
-	@.venv/tools/bin/python -m tests.mutation.run $(MUTATE_ARGS)
+	$(call recorded,mutate,.venv/tools/bin/python -m tests.mutation.run $(MUTATE_ARGS))
 
 faults:
 	@tools/environment.sh service
 	@tools/environment.sh tools
-	@.venv/tools/bin/python -m tests.faults.run $(FAULTS_ARGS)
+	$(call recorded,faults,.venv/tools/bin/python -m tests.faults.run $(FAULTS_ARGS))
 
 soak:
 	@tools/environment.sh service
 	@tools/environment.sh tools
-	@.venv/tools/bin/python -m tests.soak.serve_long $(SOAK_ARGS)
+	$(call recorded,soak,.venv/tools/bin/python -m tests.soak.serve_long $(SOAK_ARGS))
 
 SBOM_service := --extra service --extra simulation
 SBOM_ray := --extra ray

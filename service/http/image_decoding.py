@@ -17,7 +17,7 @@ from PIL.WebPImagePlugin import WebPImageFile
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.frames import START_OF_JPEG, completed, to_rgb
 from rollcast.schemas import MAX_FRAME_SIZE, MIN_FRAME_SIZE
-from service.errors import BrokenImageError, InvalidValueError, NotAnImageError
+from service.errors import BrokenImageError, InvalidValueError, NotAnImageError, ServiceError
 
 SIDES = f"a square of {MIN_FRAME_SIZE} to {MAX_FRAME_SIZE} pixels a side"
 RECTANGLES = f"a picture of {MIN_FRAME_SIZE} to {MAX_FRAME_SIZE} pixels a side"
@@ -33,6 +33,8 @@ DECODED_BYTES = 4096
 """Bytes that are decoded before the decoder may be interrupted."""
 MAX_HEADER_BYTES = 4 * 2**20
 """Bytes before the pixels of a JPEG or PNG file: profiles, previews, notes."""
+PICTURE_CHUNKS = frozenset({b"tRNS", b"eXIf"})
+"""Chunks of a PNG file that are read beside the critical ones: transparency and orientation."""
 ORIENTATION_TAG = 0x0112
 TURNS: Mapping[int, Image.Transpose] = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
@@ -83,11 +85,15 @@ class _Source(io.BytesIO):
         self._check()
         self._reads -= 1
         if self._reads < 0:
-            raise InvalidValueError.at(self._field, "a file of many pieces", "fewer, longer pieces")
+            raise _many_pieces(self._field)
         if self.header and self.tell() > MAX_HEADER_BYTES:
             value = f"more than {MAX_HEADER_BYTES} bytes before the pixels"
             raise InvalidValueError.at(self._field, value, "an image with less metadata")
         return super().read(size)
+
+
+def _many_pieces(field: str) -> ServiceError:
+    return InvalidValueError.at(field, "a file of many pieces", "fewer, longer pieces")
 
 
 class _Jpeg(JpegImageFile):
@@ -97,8 +103,9 @@ class _Jpeg(JpegImageFile):
         pass
 
 
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 READERS: Mapping[bytes, type[ImageFile.ImageFile]] = {
-    b"\x89PNG\r\n\x1a\n": PngImageFile,
+    PNG_SIGNATURE: PngImageFile,
     START_OF_JPEG: _Jpeg,
     b"RIFF": WebPImageFile,
 }
@@ -222,7 +229,8 @@ def _open(data: bytes, field: str, check: Check) -> ImageFile.ImageFile:
         raise NotAnImageError.at(field, data, "a PNG, JPEG or WebP file")
     if reader is _Jpeg and (scans := data.count(START_OF_SCAN)) > MAX_SCANS:
         raise InvalidValueError.at(field, f"a JPEG of {scans} scans", f"at most {MAX_SCANS} scans")
-    source = _Source(data, field, check)
+    plain = _without_notes(data, field) if reader is PngImageFile else data
+    source = _Source(plain, field, check)
     try:
         image = reader(source)
     except Image.DecompressionBombError as error:
@@ -236,6 +244,25 @@ def _open(data: bytes, field: str, check: Check) -> ImageFile.ImageFile:
         expected = SIDES if width == height else RECTANGLES
         raise InvalidValueError.at(field, f"{width} x {height}", expected)
     return image
+
+
+def _without_notes(data: bytes, field: str) -> bytes:
+    """Return a PNG file without chunks that say nothing of the picture.
+
+    Compressed ones (profiles, texts) would be unfolded to a thousand times their size.
+    """
+    kept, place = [PNG_SIGNATURE], len(PNG_SIGNATURE)
+    chunks = MAX_READS + len(data) // PIECE_BYTES
+    while place + 12 <= len(data):
+        chunks -= 1
+        if chunks < 0:
+            raise _many_pieces(field)
+        (length,) = struct.unpack_from(">I", data, place)
+        kind, end = data[place + 4 : place + 8], place + 12 + length
+        if kind in PICTURE_CHUNKS or kind[:1].isupper():
+            kept.append(data[place:end])
+        place = end
+    return b"".join(kept)
 
 
 def _upright(image: Image.Image) -> Image.Image:

@@ -173,7 +173,7 @@ def _http_problem(request: Request, error: HTTPException) -> Problem:
         type=f"/problems/{phrase.lower().replace(' ', '-')}",
         title=phrase,
         status=error.status_code,
-        detail=f"{request.method} {_shorten(request.url.path)}: {error.detail}",
+        detail=f"{request.method} {_shorten(request.scope['path'])}: {error.detail}",
     )
 
 

@@ -104,10 +104,11 @@ async def received(request: Request, limit: int | None = None) -> AsyncGenerator
 
 
 def _check_encoding(request: Request) -> None:
-    encoding = request.headers.get("content-encoding", "identity")
-    if encoding.strip().lower() != "identity":
-        expected = "none: compressed bodies are not supported"
-        raise UnsupportedMediaTypeError.at("content-encoding", encoding, expected)
+    for name, plain in (("content-encoding", "identity"), ("transfer-encoding", "chunked")):
+        encoding = ", ".join(request.headers.getlist(name))
+        if encoding.strip().lower() not in ("", plain):
+            expected = "none: compressed bodies are not supported"
+            raise UnsupportedMediaTypeError.at(name, encoding, expected)
 
 
 async def _read(request: Request, limit: int, held: HeldBody) -> bytearray:

@@ -257,7 +257,7 @@ def good_requests(service: Service, pause_s: float = 0.05) -> Iterator[GoodReque
     ends, ended = GoodRequests(), threading.Event()
 
     def ask() -> None:
-        with Client(service.address, retries=0, timeout_s=60) as client:
+        with Client(service.address, retries=0, timeout_s=120) as client:
             frames = client.simulate("hemisphere", seed=3, steps=4).frames
             while not ended.wait(pause_s):
                 began = time.monotonic()

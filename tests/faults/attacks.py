@@ -6,6 +6,7 @@ does counts in both, and the median of some rounds is told.
 
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from statistics import median
 
@@ -22,7 +23,7 @@ from tests.e2e.attacks import (
     started,
 )
 
-ROUNDS = 5
+ROUNDS = 3
 ROUND_S = 4.0
 MOST_TIMES = 3.0
 MOST_GROWTH = 0.05
@@ -54,7 +55,8 @@ def main(only: list[str] | None) -> bool:
         with started(models) as service:
             with good_requests(service):  # what is used for the first time stays in memory
                 for attack in ATTACKS.values():
-                    attack(service)
+                    with suppress(Exception):
+                        attack(service)
             for name in ATTACKS:
                 if only is None or any(word in name for word in only):
                     well = _row(name, service, _stop(models, name)) and well

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from PIL import Image
+from starlette.testclient import TestClient
 
 from service.errors import ServiceError
 from service.inference.deadlines import CancellationToken
@@ -341,3 +342,41 @@ def test_what_was_refused_is_let_go(client, path, request_):
         client.post(path, **request_)
     # The server may not have let go of its last request yet when the answer is here.
     assert living() < before + 10
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        [("content-encoding", "identity"), ("content-encoding", "gzip")],
+        [("content-encoding", "gzip, identity")],
+        [("transfer-encoding", "gzip, chunked")],
+        [("transfer-encoding", "gzip"), ("transfer-encoding", "chunked")],
+    ],
+    ids=str,
+)
+def test_a_body_with_any_encoding_is_refused(client, headers):
+    headers = [("content-type", "application/json"), *headers]
+    answer = client.post("/predict", content=b"{}", headers=headers)
+    assert (answer.status_code, answer.json()["field"]) == (415, headers[-1][0])
+
+
+@pytest.mark.parametrize("path", ["/nothing", "/models/none", "/predict", "/"])
+def test_a_query_that_is_no_text_gets_an_answer(client, path):
+    """Uvicorn refuses such bytes itself, other servers pass them on."""
+    asked: dict[str, object] = {}
+
+    class Server:
+        """A server that puts the bytes into the query."""
+
+        def __init__(self, app):
+            self._app = app
+
+        async def __call__(self, scope, receive, send):
+            if scope["type"] == "http":
+                scope["query_string"] = b"\xff\xfe"
+                asked.update(scope)
+            await self._app(scope, receive, send)
+
+    answer = TestClient(Server(client.app), raise_server_exceptions=False).get(path)
+    assert asked["query_string"] == b"\xff\xfe"
+    assert answer.status_code in {200, 404, 405}
