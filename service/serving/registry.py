@@ -216,7 +216,7 @@ class Registry:
             and predictor.manifest.frames == wanted.frames
             and set(wanted.scenarios) <= set(predictor.manifest.scenarios)
         ]
-        return max(suitable, key=lambda predictor: predictor.manifest.version, default=None)
+        return min(suitable, key=lambda p: p.manifest.validation_error_px, default=None)
 
     def _labels(self) -> str:
         return _one_of(model.label for model in self.models)

@@ -3,9 +3,11 @@
 import base64
 import json
 
+import numpy as np
 import pytest
 
 from tests.service.http.test_refusals import PREDICT
+from tests.service.samples import png
 
 
 @pytest.fixture(scope="session")
@@ -39,7 +41,8 @@ def test_every_model_answers_by_its_name(client, scene):
             assert answer.json()["model"]["name"] == model["name"]
 
 
-CASES = [case for case in PREDICT if case != "too large"]
+# The committed models read rectangles: "auto" sends them to the one for any number of balls.
+CASES = [case for case in PREDICT if case not in ("too large", "not square")]
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -50,6 +53,16 @@ def test_bad_requests_change_nothing(client, scene, case):
     response = client.post("/predict", **request)
     assert (response.status_code, response.json()["type"]) == (status, f"/problems/{slug}")
     assert client.post("/predict", json=good).json()["objects"] == before
+
+
+def test_rectangles_are_for_the_model_that_reads_them(client):
+    picture = np.full((240, 320, 3), 40, np.uint8)
+    picture[100:120, 150:170] = 220
+    frames = [base64.b64encode(png(picture)).decode()] * 4
+    answer = client.post("/predict", json={"frames": frames, "horizon": 3}).json()
+    assert (answer["model"]["name"], answer["frame_size"]) == ("any-ball", [320, 240])
+    named = client.post("/predict", json={"frames": frames, "model": "fieldnet"})
+    assert (named.status_code, named.json()["field"]) == (422, "frames[0]")
 
 
 def test_a_body_above_the_default_limit(client):

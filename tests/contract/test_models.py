@@ -8,8 +8,8 @@ import pytest
 from rollcast.manifest import FRAMES_INPUT, GOLDEN_FILE, MANIFEST_FILE, Manifest
 from rollcast.ood import frame_stats
 from rollcast.rollout import Step, roll_out
-from service.inference.onnx_runtime import OnnxPredictor
-from service.inference.rollout import assemble
+from service.inference.onnx_runtime import open_predictor
+from service.inference.rollout import Predictor, assemble
 from service.settings import Settings
 
 FOLDERS = sorted(path.parent for path in Settings().models_dir.glob("*/*/manifest.json"))
@@ -27,8 +27,8 @@ def folder(request) -> Path:
 
 
 @pytest.fixture(scope="module")
-def predictor(folder) -> OnnxPredictor:
-    return OnnxPredictor(folder, Manifest.read(folder / MANIFEST_FILE))
+def predictor(folder) -> Predictor:
+    return open_predictor(folder, Manifest.read(folder / MANIFEST_FILE))
 
 
 @pytest.fixture(scope="module")

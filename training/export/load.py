@@ -53,9 +53,15 @@ def load_exported(folder: Path) -> tuple[Manifest, Network]:
     Raises
     ------
     ValueError
-        When a parameter of the network is missing in the graphs.
+        When a parameter of the network is missing in the graphs, or the model follows any number
+        of balls.
     """
     manifest = Manifest.read(folder / MANIFEST_FILE)
+    if manifest.max_objects is not None:
+        raise ValueError(
+            f"{manifest.label} follows any number of balls: `export-balls` measures it on "
+            "simulated scenes, `real-clips` on clips"
+        )
     task = Task(
         manifest.objects,
         manifest.final_step,

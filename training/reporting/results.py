@@ -173,9 +173,16 @@ def _row(figure: Measurement | Curve) -> tuple[str, str, int, str, str]:
 
 
 def committed(models: Path) -> list[Path]:
-    """Folders of the default versions under ``models``, by name."""
-    manifests = sorted(models.glob(f"*/*/{MANIFEST_FILE}"))
-    return [path.parent for path in manifests if Manifest.read(path).default]
+    """Folders of the default versions under ``models``, by name.
+
+    Models for any number of balls are left out: their cards have their figures.
+    """
+    manifests = {path.parent: Manifest.read(path) for path in models.glob(f"*/*/{MANIFEST_FILE}")}
+    return sorted(
+        folder
+        for folder, manifest in manifests.items()
+        if manifest.default and manifest.max_objects is None
+    )
 
 
 def measure(models: Sequence[Path], scenes: int, workers: int) -> Results:

@@ -58,7 +58,7 @@ def test_a_key_in_a_wrong_place_is_not_repeated(tmp_path, place, caplog):
     listed = run(path, "list")
     assert listed.returncode == 1
     assert TOKEN not in listed.stdout + listed.stderr
-    store._looked = 0  # a second later
+    store._checked_at = 0  # a second later
     assert store.find(TOKEN) is None
     assert "cannot be read" in caplog.text
     assert TOKEN not in caplog.text
@@ -86,7 +86,7 @@ def test_a_pipe_in_place_of_the_file_is_refused_and_the_keys_stay(tmp_path, capl
     store = ApiKeyStore(path)
     path.unlink()
     os.mkfifo(path)
-    store._looked = 0
+    store._checked_at = 0
     began = time.monotonic()
     assert store.find(token).name == "robot"
     assert time.monotonic() - began < 5

@@ -199,7 +199,11 @@ def test_each_address_may_ask_so_often(start):
     # What watches over the process may always ask.
     assert client.get("/health/ready").status_code == 200
     assert client.get("/metrics").status_code == 200
-    assert client.get("/v2/models/nobody").json()["error"].startswith("testclient has sent 3")
+    assert (
+        client.get("/v2/models/nobody")
+        .json()["error"]
+        .startswith("testclient exceeded the rate limit of 3 ")
+    )
 
 
 def test_each_key_may_ask_so_often_and_takes_nothing_from_others(start, keys):

@@ -48,7 +48,7 @@ def test_multipart_gives_the_same_answer_as_json(client):
     ("names", "said"),
     [
         (["f0.png", "f1.png", "f2.png", "f5.png"], "2 images are missing from the numbering"),
-        (["f3.png", "f2.png", "f1.png", "f0.png"], "not that of their numbers"),
+        (["f3.png", "f2.png", "f1.png", "f0.png"], "not the order of their numbers"),
     ],
 )
 def test_numbers_of_files_that_speak_against_the_frames_are_told(client, names, said):
