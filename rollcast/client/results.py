@@ -29,6 +29,7 @@ from rollcast.schemas import (
     StreamStep,
     SurfaceGrid,
 )
+from rollcast.trajectory import OBSERVED_FRAMES
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -78,7 +79,7 @@ class ForecastStep:
             positions=checked("positions", [ball.position for ball in balls], (len(balls), 2)),
             covariances=_covariances([ball.covariance for ball in balls], (len(balls),)),
             angular_velocities=_unless_unknown(
-                [ball.angular_velocity for ball in balls], (len(balls), 3)
+                "angular_velocities", [ball.angular_velocity for ball in balls], (len(balls), 3)
             ),
         )
 
@@ -104,6 +105,13 @@ class Forecast:
     """Seconds after the last observed frame."""
     colors: tuple[str, ...]
     """Color of each object."""
+    scores: Float64[np.ndarray, " objects"] | None
+    """Confidence, 0 to 1, that each ball is there; None from models for a fixed number of balls."""
+    seen: Float64[np.ndarray, "objects 4 3"] | None
+    """x, y and radius of each ball in the four observed frames, pixels; None from models for a
+    fixed number of balls."""
+    object_warnings: tuple[tuple[str, ...], ...]
+    """Reasons to trust the forecast of each object less."""
     model: ModelReference
     """The model that answered."""
     frame_size: tuple[int, int]
@@ -120,7 +128,8 @@ class Forecast:
 
         Columns: ``step``, ``time_s``, ``object``, ``color``, ``x_px``, ``y_px``, the covariance's
         ``xx_px2``, ``xy_px2`` and ``yy_px2``, and where the model has them the angular velocities
-        ``wx_rad_s``, ``wy_rad_s`` and ``wz_rad_s``.
+        ``wx_rad_s``, ``wy_rad_s`` and ``wz_rad_s``. Of models for any number of balls also
+        ``radius_px``, ``score`` and ``warnings``, which are the same at every step of a ball.
 
         Raises
         ------
@@ -229,13 +238,18 @@ class Forecast:
             covariance_source=source,
             ellipse50_radii=checked("ellipse50_radii", response.ellipse50_radii, shape[1:]),
             angular_velocities=_unless_unknown(
-                [ball.angular_velocities for ball in balls], (*shape, 3)
+                "angular_velocities", [ball.angular_velocities for ball in balls], (*shape, 3)
             ),
             final_positions=None
             if final is None
             else checked("final_positions", final, (len(balls), 2)),
             times_s=times_s,
             colors=tuple(ball.color for ball in balls),
+            scores=_unless_unknown("scores", [ball.score for ball in balls], (len(balls),)),
+            seen=_unless_unknown(
+                "seen", [_seen(ball) for ball in balls], (len(balls), OBSERVED_FRAMES, 3)
+            ),
+            object_warnings=tuple(tuple(ball.warnings) for ball in balls),
             model=response.model,
             frame_size=response.frame_size,
             frame_rate=response.frame_rate,
@@ -402,7 +416,13 @@ def _covariances(values: object, shape: tuple[int, ...]) -> np.ndarray:
     return covariances
 
 
-def _unless_unknown(values: Sequence[object], shape: tuple[int, ...]) -> np.ndarray | None:
+def _seen(ball: ForecastObject) -> list[tuple[float, float, float]] | None:
+    return None if ball.seen is None else [(place.x, place.y, place.radius) for place in ball.seen]
+
+
+def _unless_unknown(
+    name: str, values: Sequence[object], shape: tuple[int, ...]
+) -> np.ndarray | None:
     known = [value is not None for value in values]
-    require(all(known) or not any(known), "angular velocities of some objects are missing")
-    return checked("angular_velocities", values, shape) if any(known) else None
+    require(all(known) or not any(known), f"{name} of some objects are missing")
+    return checked(name, values, shape) if any(known) else None

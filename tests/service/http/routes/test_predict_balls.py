@@ -180,3 +180,9 @@ def test_auto_sends_rectangles_to_the_model_that_reads_them(client):
     told = ask(client, seen, (240, 320), horizon=2)
     assert told["model"]["name"] == "dots"
     assert told["frame_size"] == [320, 240]
+
+
+def test_models_tell_how_many_balls_they_follow(client):
+    entries = {entry["name"]: entry for entry in client.get("/models").json()["models"]}
+    assert entries["dots"]["max_objects"] == 8
+    assert entries["dot"]["max_objects"] is None
