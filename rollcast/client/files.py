@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from rollcast.client import pictures, tables
 from rollcast.client.images import Crop, Frames
 from rollcast.schemas import ForecastObject, PredictResponse
@@ -58,10 +60,14 @@ def forecast_json(forecast: "Forecast") -> str:
                     "positions": forecast.positions[index].tolist(),
                     "covariances": forecast.covariances[index].tolist(),
                     "covariance_source": forecast.covariance_source,
-                    "angular_velocities": None if turning is None else turning[index].tolist(),
+                    "angular_velocities": None
+                    if turning is None or np.isnan(turning[index]).any()
+                    else turning[index].tolist(),
                     "score": None if forecast.scores is None else float(forecast.scores[index]),
                     "seen": seen_balls(forecast, index),
                     "warnings": forecast.object_warnings[index],
+                    "motion": forecast.motions[index],
+                    "alternative": forecast.alternatives[index],
                 }
             )
             for index, color in enumerate(forecast.colors)

@@ -51,11 +51,12 @@ def forecast_text(
                     "covariances": forecast.covariances[ball].tolist(),
                     "covariance_source": forecast.covariance_source,
                     "angular_velocities": None
-                    if forecast.angular_velocities is None
+                    if forecast.motions[ball] == "kinematic" or forecast.angular_velocities is None
                     else forecast.angular_velocities[ball].tolist(),
                     "score": None if forecast.scores is None else float(forecast.scores[ball]),
                     "seen": seen_balls(forecast, ball, crop.x, crop.y),
                     "warnings": forecast.object_warnings[ball],
+                    "motion": forecast.motions[ball],
                 }
                 for ball, color in enumerate(forecast.colors)
             ],

@@ -9,6 +9,7 @@ import pytest
 from rollcast.client import BallPrompt, Forecast
 from rollcast.client.testing import FakeService
 from rollcast.errors import BadRequestError, InvalidArgumentError
+from rollcast.schemas import PredictResponse
 
 WIDE = np.zeros((4, 48, 64, 3), np.uint8)
 POINTS = [(40.0, 20.0), (10.0, 30.0)]
@@ -112,9 +113,27 @@ def test_warnings_of_single_balls_are_kept(client):
     assert told.to_dataframe()["warnings"].tolist()[:2] == ["No ball is seen surely.", ""]
 
 
-def _doubted(client):
-    from rollcast.schemas import PredictResponse
+def test_a_kinematic_ball_has_no_angular_velocities_beside_one_that_has(client):
+    answer = client(FakeService()).predict(WIDE, balls=POINTS, horizon=2)
+    body = json.loads(answer.to_json())
+    path = {"positions": [[1, 2], [3, 4]], "covariances": [[[1, 0], [0, 1]]] * 2}
+    body["objects"][0] |= {
+        "motion": "kinematic",
+        "angular_velocities": None,
+        "alternative": {"motion": "network"} | path,
+    }
+    told = Forecast.from_response(PredictResponse.model_validate(body))
+    assert told.motions == ("kinematic", "network")
+    assert np.isnan(told.angular_velocities[0]).all()
+    assert not np.isnan(told.angular_velocities[1]).any()
+    assert told.alternatives[0].positions == [(1, 2), (3, 4)]
+    again = json.loads(told.to_json())["objects"]
+    assert again[0]["angular_velocities"] is None
+    assert again[0]["alternative"]["motion"] == "network"
+    assert again[1]["angular_velocities"] is not None
 
+
+def _doubted(client):
     answer = client(FakeService()).predict(WIDE, balls=POINTS, horizon=2)
     body = json.loads(answer.to_json())
     body["objects"][0] |= {"score": 0.2, "warnings": ["No ball is seen surely."]}
