@@ -245,6 +245,8 @@ class Forecast(
         scores: jaxtyping.Float64[ndarray, 'objects'] | None,
         seen: jaxtyping.Float64[ndarray, 'objects 4 3'] | None,
         object_warnings: tuple[tuple[str, ...], ...],
+        motions: tuple[Literal['network', 'kinematic'], ...],
+        alternatives: tuple[rollcast.schemas.AlternativeForecast | None, ...],
         model: rollcast.schemas.ModelReference,
         frame_size: tuple[int, int],
         frame_rate: float,
