@@ -139,16 +139,20 @@ class ProblemError(ClientError):
     ----------
     problem
         The document: type, title, status, detail, and where they apply field, value, expected.
+    advice
+        What to do about it with this client; empty when the document says it all.
     """
 
     def __init__(self, problem: "Problem") -> None:
         super().__init__(problem)
         self.problem = problem
+        self.advice = ""
         self.status_code = problem.status
 
     def __str__(self) -> str:
-        """Return the document's title, status and detail."""
-        return f"{self.problem.title} ({self.problem.status}): {self.problem.detail}"
+        """Return the document's title, status and detail, and the advice."""
+        told = f"{self.problem.title} ({self.problem.status}): {self.problem.detail}"
+        return f"{told}; {self.advice}" if self.advice else told
 
 
 class BadRequestError(ProblemError):

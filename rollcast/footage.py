@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from jaxtyping import Float64, UInt8
@@ -65,15 +65,35 @@ class SquareCrop:
 
 
 @dataclass(frozen=True)
-class Footage:
-    """Square frames and when they were taken."""
+class WholePicture:
+    """All of a picture, where a square of it could be."""
 
-    frames: UInt8[np.ndarray, "frames S S 3"]
-    """RGB."""
+    x: int = 0
+    """Columns left of it, pixels."""
+    y: int = 0
+    """Rows above it, pixels."""
+
+    def cut(
+        self, picture: UInt8[np.ndarray, "height width 3"]
+    ) -> UInt8[np.ndarray, "height width 3"]:
+        """Return a copy of the picture."""
+        return picture.copy()
+
+
+PictureCrop: TypeAlias = SquareCrop | WholePicture
+"""Part of a picture that frames show."""
+
+
+@dataclass(frozen=True)
+class Footage:
+    """Frames of one size and when they were taken."""
+
+    frames: UInt8[np.ndarray, "frames height width 3"]
+    """RGB; square unless they are whole pictures."""
     times_s: Float64[np.ndarray, " frames"]
     """Seconds after the first frame of the whole footage."""
-    crop: SquareCrop
-    """Crop of the picture that the frames show."""
+    crop: PictureCrop
+    """Part of the picture that the frames show."""
     blended_over_s: float = 0.0
     """Longest time between two frames of the camera that one of these is blended from; 0 when all
     are as the camera took them."""
@@ -108,8 +128,7 @@ class Footage:
                 f"the frames end after {self.times_s[-1]:.3f} s; {count} frames, {frame_rate:g} a "
                 f"second, need {wanted_s[-1]:.3f} s"
             )
-        whole = SquareCrop.centred(*self.frames.shape[2:0:-1])
-        return replace(from_moments(made, whole), crop=self.crop)
+        return replace(from_moments(made, WholePicture()), crop=self.crop)
 
 
 @dataclass(frozen=True)
@@ -152,7 +171,7 @@ def read_evenly(
     *,
     start_s: float = 0.0,
     frames: int = OBSERVED_FRAMES,
-    crop: SquareCrop | None = None,
+    crop: PictureCrop | None = None,
     frame_rate: float = FRAME_RATE_HZ,
 ) -> Footage:
     """Read frames that follow each other evenly, from the frame nearest to a start.
@@ -203,7 +222,7 @@ def read_at(
     source: FrameSource,
     times_s: Sequence[float],
     *,
-    crop: SquareCrop | None = None,
+    crop: PictureCrop | None = None,
     frame_rate: float = FRAME_RATE_HZ,
 ) -> Footage:
     """Read the frames of some times, blended where the camera took none (:func:`resample`).
@@ -286,9 +305,9 @@ def _blended(before: TakenFrame, after: TakenFrame, time_s: float) -> TimedFrame
 
 
 def from_moments(
-    moments: Sequence[TimedFrame], crop: SquareCrop | None, warnings: Iterable[str] = ()
+    moments: Sequence[TimedFrame], crop: PictureCrop | None, warnings: Iterable[str] = ()
 ) -> Footage:
-    """Crop every picture to the same square, by default the largest one in the centre."""
+    """Crop every picture to the same part, by default the largest square in the centre."""
     height, width = moments[0].picture.shape[:2]
     crop = crop or SquareCrop.centred(width, height)
     return Footage(

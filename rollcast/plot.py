@@ -4,7 +4,7 @@ Colours are of the palette by Okabe and Ito, which colour-blind readers can dist
 casing that keeps them legible on any footage.
 """
 
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -31,6 +31,13 @@ ELLIPSE_PX = 1
 CASING_PX = 2
 CROSS_PX = 7
 FONT_PX = 20
+
+RING_PX = 2
+SMALLEST_RING_PX = 4
+"""Radius that rings around smaller balls have."""
+
+Rings: TypeAlias = Float[np.ndarray, "objects 3"]
+"""x, y and radius of balls, pixels of the frame."""
 
 CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 73)) for f in (np.cos, np.sin)])
 
@@ -64,9 +71,10 @@ class ForecastPath(TruePath, Protocol):
 
 
 def draw_forecast(
-    frames: UInt8[np.ndarray, "frames S S 3"],
+    frames: UInt8[np.ndarray, "frames height width 3"],
     times_s: Float[np.ndarray, " frames"],
     forecast: ForecastPath,
+    rings: Rings | None = None,
 ) -> Image.Image:
     """Draw a forecast over the last observed frame and, where it has them, over later ones.
 
@@ -82,11 +90,14 @@ def draw_forecast(
         Seconds after the last observed frame, of every frame: 0, then ascending.
     forecast
         In pixels of these frames.
+    rings
+        Where the balls were seen in the last observed frame; by default nothing is drawn there.
 
     Returns
     -------
     PIL.Image.Image
-        RGB, 720 pixels high, wider by 360 for every two later frames.
+        RGB; of square frames 720 pixels high, wider by 360 for every two later frames. Of others
+        the longer side has these pixels.
 
     Raises
     ------
@@ -97,12 +108,12 @@ def draw_forecast(
     if times_s[-1] > end_s + STEP_TOLERANCE / forecast.frame_rate:
         raise ValueError(f"a frame of {times_s[-1]:.3f} s, the forecast ends at {end_s:.3f} s")
     return _sheet(
-        frames, times_s, forecast, f"last frame seen, forecast to +{end_s:.2f} s", forecast
+        frames, times_s, forecast, f"last frame seen, forecast to +{end_s:.2f} s", forecast, rings
     )
 
 
 def draw_truth(
-    frames: UInt8[np.ndarray, "frames S S 3"],
+    frames: UInt8[np.ndarray, "frames height width 3"],
     times_s: Float[np.ndarray, " frames"],
     path: TruePath,
 ) -> Image.Image:
@@ -126,7 +137,11 @@ def draw_truth(
 
 
 def draw_moment(
-    frame: UInt8[np.ndarray, "S S 3"], time_s: float, forecast: ForecastPath, title: str
+    frame: UInt8[np.ndarray, "height width 3"],
+    time_s: float,
+    forecast: ForecastPath,
+    title: str,
+    rings: Rings | None = None,
 ) -> Image.Image:
     """Draw a forecast over one frame: the path until then, cross and ellipse at its time.
 
@@ -140,13 +155,16 @@ def draw_moment(
         In pixels of the frame.
     title
         What stands in the corner.
+    rings
+        Where the balls were seen in this frame; by default nothing is drawn there.
 
     Returns
     -------
     PIL.Image.Image
-        RGB, 480 pixels a side.
+        RGB, the longer side of 480 pixels, both even.
     """
     panel = _Panel(frame, FILM_PX)
+    panel.rings(rings)
     if time_s >= 0:
         panel.path(forecast, time_s, np.array([time_s]), forecast)
     panel.title(title)
@@ -154,17 +172,20 @@ def draw_moment(
 
 
 def _sheet(
-    frames: UInt8[np.ndarray, "frames S S 3"],
+    frames: UInt8[np.ndarray, "frames height width 3"],
     times_s: Float[np.ndarray, " frames"],
     path: TruePath,
     title: str,
     uncertainty: ForecastPath | None,
+    rings: Rings | None = None,
 ) -> Image.Image:
     """Put a large picture of the whole path and small ones of later frames on one sheet."""
     marks_s = times_s[1:] if len(times_s) > 1 else path.times_s[::STEPS_BETWEEN_MARKS][1:]
     columns = len(frames) // 2
-    sheet = Image.new("RGB", (OVERVIEW_PX + columns * PANEL_PX, OVERVIEW_PX))
     overview = _Panel(frames[0], OVERVIEW_PX)
+    overview.rings(rings)
+    width, height = overview.size
+    sheet = Image.new("RGB", (width + columns * (width // 2), height))
     overview.path(path, float(path.times_s[-1]), marks_s, uncertainty)
     overview.title(title)
     sheet.paste(overview.image(), (0, 0))
@@ -173,18 +194,23 @@ def _sheet(
         panel.path(path, float(time_s), np.array([time_s]), uncertainty)
         panel.title(f"+{time_s:.2f} s")
         row, column = divmod(index, columns)
-        sheet.paste(panel.image(), (OVERVIEW_PX + column * PANEL_PX, row * PANEL_PX))
+        sheet.paste(panel.image(), (width + column * (width // 2), row * (height // 2)))
     return sheet
 
 
 class _Panel:
     """One frame, enlarged or reduced, that is drawn on in pixels of the frame."""
 
-    def __init__(self, frame: UInt8[np.ndarray, "S S 3"], side_px: int) -> None:
-        self._side = side_px * OVERSAMPLING
-        self._scale = self._side / len(frame)
+    def __init__(self, frame: UInt8[np.ndarray, "height width 3"], side_px: int) -> None:
+        height, width = frame.shape[:2]
+        scale = side_px / max(height, width)
+        # Halves of it are whole and even, as encoders of films want them.
+        parts = [max(4 * round(scale * side / 4), 4) for side in (width, height)]
+        self.size = (parts[0], parts[1])
+        """Width and height of the picture, pixels."""
+        self._scale = scale * OVERSAMPLING
         self._canvas = Image.fromarray(frame).resize(
-            (self._side, self._side), Image.Resampling.BICUBIC
+            (OVERSAMPLING * parts[0], OVERSAMPLING * parts[1]), Image.Resampling.BICUBIC
         )
         self._draw = ImageDraw.Draw(self._canvas)
 
@@ -206,6 +232,12 @@ class _Panel:
                     covariance = _at(mark_s, path.times_s, uncertainty.covariances[index])
                     self._line(_ellipse(position, covariance), color, ELLIPSE_PX)
                 self._cross(position, color)
+
+    def rings(self, rings: Rings | None) -> None:
+        """Draw where balls were seen."""
+        for index, (x, y, radius) in enumerate([] if rings is None else rings.tolist()):
+            line = CIRCLE.T * max(radius, SMALLEST_RING_PX * OVERSAMPLING / self._scale) + (x, y)
+            self._line(line, PALETTE[index % len(PALETTE)], RING_PX)
 
     def title(self, text: str) -> None:
         """Write into the upper left corner."""

@@ -475,6 +475,9 @@ class ModelEntry(ResponseBody):
     preset: str | None = None
     scenarios: list[Domain] | None = None
     objects: int | None = None
+    max_objects: int | None = None
+    """Most balls of a model for any number of balls, which takes prompts and frames of any
+    rectangle; None where ``objects`` is fixed."""
     frame_rate_hz: float | None = None
     """Frames a second of what it was trained on."""
     setup: ModelSetup | None = None

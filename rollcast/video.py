@@ -26,7 +26,7 @@ from jaxtyping import UInt8
 from rollcast.errors import FootageEndedError, FootageError
 from rollcast.footage import (
     Footage,
-    SquareCrop,
+    PictureCrop,
     TakenFrame,
     TimedFrame,
     rate_near,
@@ -90,7 +90,7 @@ def read_frames(
     *,
     start_s: float = 0.0,
     frames: int = OBSERVED_FRAMES,
-    crop: SquareCrop | None = None,
+    crop: PictureCrop | None = None,
     frame_rate: float = FRAME_RATE_HZ,
     camera_hz: float | None = None,
 ) -> Footage:
@@ -136,7 +136,7 @@ def frames_at(
     path: Path | str,
     times_s: Sequence[float],
     *,
-    crop: SquareCrop | None = None,
+    crop: PictureCrop | None = None,
     frame_rate: float = FRAME_RATE_HZ,
     camera_hz: float | None = None,
 ) -> Footage:

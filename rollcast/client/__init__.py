@@ -20,12 +20,17 @@ Exceptions: ``rollcast.errors.ClientError`` and its heirs. A service for tests t
 
 from rollcast.client.aio import AsyncClient, AsyncForecastStream
 from rollcast.client.images import Crop, Frame, Frames
+from rollcast.client.prompts import BallPoint, BallPoints
 from rollcast.client.results import Forecast, ForecastStep, Simulation, Surface
 from rollcast.client.sync import Client, ForecastStream
+from rollcast.schemas import BallPrompt
 
 __all__ = [
     "AsyncClient",
     "AsyncForecastStream",
+    "BallPoint",
+    "BallPoints",
+    "BallPrompt",
     "Client",
     "Crop",
     "Forecast",

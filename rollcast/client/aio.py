@@ -10,12 +10,13 @@ import numpy as np
 
 from rollcast.client import calls
 from rollcast.client._async import Connections, gather_limited, to_thread, with_retries, within
-from rollcast.client.answers import MAX_ANSWER_BYTES, check_size, failure, translated
+from rollcast.client.answers import MAX_ANSWER_BYTES, check_size, translated
 from rollcast.client.calls import Call, ForecastOptions, Integer, SimulationOptions
 from rollcast.client.clips import Clip, is_clip, named_model, read_clip
 from rollcast.client.connection import Target, checked_timeout
 from rollcast.client.deadline import Deadline
 from rollcast.client.images import Crop, Frame, Frames
+from rollcast.client.prompts import BallPoints
 from rollcast.client.results import Forecast, ForecastStep, Simulation, Surface
 from rollcast.client.stream import StreamAssembler
 from rollcast.scene import Domain, Scenario, Scene
@@ -88,6 +89,7 @@ class AsyncClient:
         final_frame: Frame | None = None,
         final_step: Integer | None = None,
         objects: Integer | None = None,
+        balls: BallPoints | None = None,
         scenario: Domain | None = None,
         frame_rate: float | None = None,
         crop: Crop | None = None,
@@ -98,9 +100,10 @@ class AsyncClient:
         Parameters
         ----------
         frames
-            The four observed frames in order, each a ``Frame``; square, or cropped. Or the path of
-            a video, of which the four frames from ``start_s`` on are read at the model's frame rate
-            (extra ``video``).
+            The four observed frames in order, each a ``Frame``. They are sent as they are; models
+            for a fixed number of balls read square ones (``crop``). Or the path of a video, of
+            which the four frames from ``start_s`` on are read at the model's frame rate (extra
+            ``video``).
         horizon
             Steps; by default 40, with a final frame as many as its model is made for.
         model
@@ -108,7 +111,13 @@ class AsyncClient:
         final_frame, final_step
             A later frame, for models that read one, and the step that it shows.
         objects
-            Number of balls; by default the named model's, with "auto" one.
+            Number of balls; by default the named model's, with "auto" one. A model for any number
+            of balls follows, by default, those that move.
+        balls
+            Which balls are meant: a point of the last observed frame for each of them, in the order
+            of the forecast's objects. Points are (x, y), (x, y, radius) or ``BallPrompt``, in
+            pixels of the frames that are sent, of a video in pixels of its pictures. With "auto" a
+            model for any number of balls answers.
         scenario
             Narrows the choice of "auto" to models made for it, or for "footage" of a set-up of
             one's own.
@@ -116,8 +125,9 @@ class AsyncClient:
             Frames a second; by default the rate that the model was trained on.
         crop
             "square" cuts the largest square out of the middle of every frame; positions are then
-            pixels of that square. Videos are always cropped, to the square of the set-up that the
-            named model was trained on, if it has one.
+            pixels of that square. Videos are sent whole with ``balls`` or to a named model for any
+            number of balls; otherwise they are cropped, to the square of the set-up that the named
+            model was trained on, if it has one.
         start_s
             Time of the first frame in the video, seconds; by default 0.
 
@@ -135,6 +145,7 @@ class AsyncClient:
             model=model,
             final_step=final_step,
             objects=objects,
+            balls=balls,
             scenario=scenario,
             frame_rate=frame_rate,
             crop=crop,
@@ -388,7 +399,7 @@ class AsyncClient:
             try:
                 if response.status_code != 200:
                     content = await self._content(response, MAX_ANSWER_BYTES, deadline)
-                    raise failure(response, content)
+                    raise call.failure(response, content)
                 opened = _Opened(response, call, deadline, self._target)
             except BaseException:
                 await response.aclose()

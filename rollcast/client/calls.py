@@ -17,9 +17,10 @@ import numpy as np
 
 from rollcast.client.answers import MAX_ANSWER_BYTES, MAX_SIMULATION_BYTES, failure, unexpected
 from rollcast.client.images import Crop, Frame, Frames, each, encoded
+from rollcast.client.prompts import BallPoints, prompts_of
 from rollcast.client.results import Forecast, Simulation
 from rollcast.client.shapes import require
-from rollcast.errors import InvalidArgumentError
+from rollcast.errors import ClientError, InvalidArgumentError, ProblemError
 from rollcast.image_sequence import numbering_warnings
 from rollcast.scene import Domain, Scenario, Scene
 from rollcast.schemas import (
@@ -30,6 +31,7 @@ from rollcast.schemas import (
     ModelEntry,
     ModelList,
     PredictResponse,
+    Problem,
     SimulateResponse,
 )
 
@@ -54,6 +56,8 @@ class ForecastOptions(TypedDict, total=False):
     """Step that the final frame shows."""
     objects: Integer | None
     """Number of balls."""
+    balls: BallPoints | None
+    """Points of the last observed frame, pixels, that say which balls are meant."""
     scenario: Domain | None
     """Domain that narrows the choice of "auto"."""
     frame_rate: float | None
@@ -102,6 +106,8 @@ class Call(Generic[T]):
     """Number of requested steps."""
     objects: int | None = None
     """Number of requested balls."""
+    advise: Callable[[Problem], str] = lambda _: ""
+    """Advice about a refusal in terms of the client; empty if there is none."""
     warnings: tuple[str, ...] = ()
     """Warnings of the client about a forecast."""
 
@@ -142,11 +148,18 @@ class Call(Generic[T]):
             When it is not an answer of this API.
         """
         if response.status_code not in self.answers:
-            raise failure(response, content)
+            raise self.failure(response, content)
         try:
             return self.read(content)
         except Exception as error:  # decoders of images raise nearly anything
             raise unexpected(response, error) from error
+
+    def failure(self, response: httpx2.Response, content: bytes | bytearray) -> ClientError:
+        """Return the exception for an answer that reports a failure."""
+        error = failure(response, content)
+        if isinstance(error, ProblemError):
+            error.advice = self.advise(error.problem)
+        return error
 
     def expect_at_most(self, steps: int) -> None:
         """Raise ValueError if a forecast has more steps than requested."""
@@ -201,12 +214,15 @@ def _forecast_call(
     if options.get("start_s") is not None:
         raise InvalidArgumentError("start_s is for a clip, given as the path of a video")
     horizon, objects = _whole("horizon", options), _whole("objects", options)
+    balls = options.get("balls")
+    prompts = None if balls is None else prompts_of(balls)
     rate = options.get("frame_rate")
     fields = {
         "model": options.get("model"),
         "horizon": horizon,
         "final_step": _whole("final_step", options),
         "objects": objects,
+        "balls": None if prompts is None else json.dumps([dict(prompt) for prompt in prompts]),
         "scenario": options.get("scenario"),
         "frame_rate": None if rate is None else _number("frame_rate", rate),
     }
@@ -226,10 +242,22 @@ def _forecast_call(
         fields={name: str(value) for name, value in fields.items() if value is not None},
         files=files,
         horizon=horizon,
-        objects=objects,
+        objects=objects if prompts is None else len(prompts),
+        advise=_advice,
         warnings=warnings,
     )
     return call
+
+
+def _advice(problem: Problem) -> str:
+    """Say what makes frames square, where the service reads no others."""
+    is_of_frames = (problem.field or "").partition("[")[0] in {"frames", "final_frame"}
+    if not is_of_frames or "square" not in (problem.expected or ""):
+        return ""
+    return (
+        'crop="square" cuts the middle out of every frame; with balls=[(x, y)], or a model for any '
+        "number of balls, frames may be rectangles"
+    )
 
 
 def simulate(

@@ -5,9 +5,10 @@ from typing import TypeAlias, TypeGuard
 
 from rollcast.client.calls import ForecastOptions
 from rollcast.client.images import Frames
+from rollcast.client.prompts import moved, prompts_of
 from rollcast.errors import MissingExtraError
-from rollcast.footage import Footage, SquareCrop
-from rollcast.schemas import AUTO_MODEL, ModelDetail
+from rollcast.footage import Footage, SquareCrop, WholePicture
+from rollcast.schemas import AUTO_MODEL, ModelDetail, ModelEntry
 from rollcast.trajectory import FRAME_RATE_HZ
 
 Clip: TypeAlias = Path | str
@@ -58,10 +59,24 @@ def read_clip(
     except ModuleNotFoundError as error:
         raise MissingExtraError("videos need", "PyAV", "video") from error
     rate = options.get("frame_rate") or (model and model.frame_rate_hz) or FRAME_RATE_HZ
-    crop = SquareCrop(*model.setup.crop) if model and model.setup else None
+    balls = options.get("balls")
+    whole = (balls is not None or takes_any(model)) and options.get("crop") is None
+    crop = WholePicture() if whole else setup_crop(model)
     seen = read_frames(clip, start_s=options.get("start_s") or 0.0, crop=crop, frame_rate=rate)
     rest = options | ForecastOptions(frame_rate=seen.frame_rate, start_s=None, crop=None)
+    if balls is not None:
+        rest["balls"] = moved(prompts_of(balls), seen.crop)
     return seen.frames, rest, blend_warnings(seen, rate)
+
+
+def takes_any(model: ModelEntry | None) -> bool:
+    """Return whether a model follows any number of balls in frames of any rectangle."""
+    return model is not None and model.max_objects is not None
+
+
+def setup_crop(model: ModelEntry | None) -> SquareCrop | None:
+    """Return the square of the set-up that a model was trained on, if it has one."""
+    return SquareCrop(*model.setup.crop) if model and model.setup else None
 
 
 def blend_warnings(footage: Footage, rate: float) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS
 from rollcast.scene import COLORS, SCENARIOS, Scene
 from rollcast.schemas import (
     DEFAULT_HORIZON,
+    BallPrompt,
     ForecastObject,
     ModelDetail,
     ModelReference,
@@ -22,6 +23,7 @@ from rollcast.schemas import (
     PredictResponse,
     PredictTiming,
     Problem,
+    SeenBall,
     SimulatedObject,
     SimulateRequest,
     SimulateResponse,
@@ -42,6 +44,8 @@ BELOW = np.array([0.0, 0.2])
 VELOCITY = np.array([0.01, 0.004])
 """Start of the first ball, offset between balls, and velocity per step, in shares of the frame."""
 RADIUS = 0.05
+SCORE = 0.99
+"""Of balls that were asked for."""
 SURFACE_POINTS = 9
 TURNING_RAD_S = (0.0, 1.0, 0.0)
 
@@ -79,7 +83,7 @@ def typed(
     if not frames:
         return dict(fields)
     numbers = {"horizon": int, "objects": int, "final_step": int, "frame_rate": float}
-    values = {name: numbers.get(name, str)(value) for name, value in fields.items()}
+    values: dict[str, Any] = {name: numbers.get(name, str)(value) for name, value in fields.items()}
     return {**values, "frames": list(frames), "final_frame": final_frame}
 
 
@@ -88,38 +92,48 @@ def forecast(
 ) -> PredictResponse:
     """Answer with chosen positions [objects, steps, 2], or with balls on lines.
 
+    Prompts are answered with balls that roll from there, in frames of any rectangle, each with its
+    score and where it was seen.
+
     Raises
     ------
     RefusalError
         When the frames cannot be read or the positions do not suffice.
     """
-    side = _side(wish.frames)
+    size = _size(wish.frames, square=wish.balls is None)
+    side = max(size)
+    objects = wish.objects if wish.balls is None else len(wish.balls)
+    if wish.objects not in (None, objects):
+        raise RefusalError(_wrong("objects", wish.objects, f"{objects}, the number of balls"))
     if positions is None:
         between = None if wish.final_step is None else wish.final_step + 1
         horizon = wish.horizon or between or DEFAULT_HORIZON
         indices = FIRST_FORECAST_FRAME + np.arange(horizon)
-        positions = np.stack([_line(ball, indices, side) for ball in range(wish.objects or 1)])
+        starts = _starts(wish.balls, objects or 1, side)
+        positions = starts[:, None] + (indices - FIRST_FORECAST_FRAME)[:, None] * side * VELOCITY
     horizon = wish.horizon or positions.shape[1]
     if horizon > positions.shape[1]:
         raise RefusalError(
             _wrong("horizon", horizon, f"at most {positions.shape[1]}, as many as given")
         )
-    if wish.objects not in (None, len(positions)):
-        raise RefusalError(_wrong("objects", wish.objects, f"{len(positions)}, as many as given"))
+    if objects not in (None, len(positions)):
+        raise RefusalError(_wrong("objects", objects, f"{len(positions)}, as many as given"))
     covariance = ((variance_px2, 0.0), (0.0, variance_px2))
     rate = wish.frame_rate or FRAME_RATE_HZ
     return PredictResponse(
         model=ModelReference(name=NAME, version=1, variant=NAME, trained_horizon=TRAINED_HORIZON),
-        frame_size=(side, side),
+        frame_size=size,
         frame_rate=rate,
         objects=[
             ForecastObject(
                 id=ball,
-                color=COLORS[ball],
+                color=COLORS[ball % len(COLORS)],
                 positions=path[:horizon].tolist(),
                 covariances=[covariance] * horizon,
                 covariance_source="predicted",
                 angular_velocities=[TURNING_RAD_S] * horizon,
+                score=None if wish.balls is None else SCORE,
+                seen=None if wish.balls is None else _seen(wish.balls[ball], path[0], side),
             )
             for ball, path in enumerate(positions)
         ],
@@ -158,7 +172,7 @@ def events(whole: PredictResponse) -> bytes:
         for step, time_s in enumerate(whole.times_s)
     ]
     balls = [
-        StreamBall(id=ball.id, color=ball.color, covariance_source=ball.covariance_source)
+        StreamBall(**ball.model_dump(include=set(StreamBall.model_fields)))
         for ball in whole.objects
     ]
     rest: dict[str, Any] = dict(whole)
@@ -248,22 +262,39 @@ def _wrong(field: str, value: int | str | None, expected: str) -> Problem:
     )
 
 
-def _side(frames: Sequence[bytes]) -> int:
-    side = 0
+def _size(frames: Sequence[bytes], *, square: bool) -> tuple[int, int]:
+    """Return width and height of frames, which are all of one size."""
+    sizes: list[tuple[int, int]] = []
     for index, frame in enumerate(frames):
         try:
             with Image.open(io.BytesIO(frame)) as image:
-                width, height = image.size
+                sizes.append(image.size)
         except OSError as error:
             raise RefusalError(
                 _wrong(f"frames[{index}]", None, "a PNG, JPEG or WebP file")
             ) from error
-        if width != height:
-            raise RefusalError(_wrong(f"frames[{index}]", f"{width} x {height}", "a square frame"))
-        side = side or width
-        if width != side:
+        width, height = sizes[-1]
+        if square and width != height:
+            expected = "a square frame, or balls that are meant"
+            raise RefusalError(_wrong(f"frames[{index}]", f"{width} x {height}", expected))
+        if sizes[-1] != sizes[0]:
             raise RefusalError(_wrong(f"frames[{index}]", f"{width} x {height}", "one size of all"))
-    return side
+    return sizes[0]
+
+
+def _starts(prompts: Sequence[BallPrompt] | None, objects: int, side: int) -> np.ndarray:
+    """Return where balls are in the last observed frame, [objects, 2]."""
+    if prompts is not None:
+        return np.array([(prompt.x, prompt.y) for prompt in prompts], float)
+    last = np.array([FIRST_FORECAST_FRAME])
+    return np.concatenate([_line(ball, last, side) for ball in range(objects)])
+
+
+def _seen(prompt: BallPrompt, start: np.ndarray, side: int) -> list[SeenBall]:
+    """Return where a ball was in the observed frames, on the line that it rolls along."""
+    radius = prompt.radius or RADIUS * side
+    back = np.arange(1 - OBSERVED_FRAMES, 1)[:, None] * side * VELOCITY
+    return [SeenBall(x=x, y=y, radius=radius) for x, y in (start + back).tolist()]
 
 
 def _line(ball: int, indices: np.ndarray, side: int) -> np.ndarray:

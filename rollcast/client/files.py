@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from rollcast.client import pictures, tables
 from rollcast.client.images import Crop, Frames
 from rollcast.schemas import ForecastObject, PredictResponse
@@ -58,7 +60,14 @@ def forecast_json(forecast: "Forecast") -> str:
                     "positions": forecast.positions[index].tolist(),
                     "covariances": forecast.covariances[index].tolist(),
                     "covariance_source": forecast.covariance_source,
-                    "angular_velocities": None if turning is None else turning[index].tolist(),
+                    "angular_velocities": None
+                    if turning is None or np.isnan(turning[index]).any()
+                    else turning[index].tolist(),
+                    "score": None if forecast.scores is None else float(forecast.scores[index]),
+                    "seen": seen_balls(forecast, index),
+                    "warnings": forecast.object_warnings[index],
+                    "motion": forecast.motions[index],
+                    "alternative": forecast.alternatives[index],
                 }
             )
             for index, color in enumerate(forecast.colors)
@@ -68,6 +77,16 @@ def forecast_json(forecast: "Forecast") -> str:
         "final_positions": None if final is None else final.tolist(),
     }
     return PredictResponse.model_validate(body).model_dump_json()
+
+
+def seen_balls(
+    forecast: "Forecast", index: int, x: float = 0, y: float = 0
+) -> list[dict[str, float]] | None:
+    """Return where an object was seen, moved by x and y pixels; None where that is not known."""
+    if forecast.seen is None:
+        return None
+    rows: list[list[float]] = (forecast.seen[index] + (x, y, 0)).tolist()
+    return [dict(zip(("x", "y", "radius"), row, strict=True)) for row in rows]
 
 
 def png(forecast: "Forecast") -> bytes:

@@ -31,7 +31,9 @@ def forecast(
     end_s = forecast.times_s[-1] + STEP_TOLERANCE / forecast.frame_rate
     shown = _spread(sum(time_s <= end_s for time_s in times_s), panels)
     drawn = [_fitting(forecast, frames, index, crop) for index in shown]
-    return draw_forecast(np.stack(drawn), np.array(times_s)[shown], forecast)
+    return draw_forecast(
+        np.stack(drawn), np.array(times_s)[shown], forecast, rings_of(forecast, -1)
+    )
 
 
 def film(
@@ -48,7 +50,13 @@ def film(
         index = sum(taken_s <= time_s + tolerance_s for taken_s in times_s) - 1
         if index > latest:
             latest, frame = index, _fitting(forecast, frames, index, crop)
-        yield draw_moment(frame, time_s, forecast, f"+{time_s:.2f} s")
+        rings = rings_of(forecast, -1) if latest == 0 else None
+        yield draw_moment(frame, time_s, forecast, f"+{time_s:.2f} s", rings)
+
+
+def rings_of(forecast: "Forecast", index: int) -> np.ndarray | None:
+    """Return where balls were seen in one observed frame, [objects, 3]; None when not known."""
+    return None if forecast.seen is None else forecast.seen[:, index]
 
 
 def simulation(simulation: "Simulation", panels: int) -> Image.Image:

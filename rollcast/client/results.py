@@ -20,8 +20,10 @@ from rollcast.client.shapes import checked, checked_times, require
 from rollcast.scene import Color, Scene
 from rollcast.schemas import (
     MAX_IMAGE_SIZE,
+    AlternativeForecast,
     ForecastObject,
     ModelReference,
+    Motion,
     PredictResponse,
     PredictTiming,
     SimulateResponse,
@@ -29,6 +31,7 @@ from rollcast.schemas import (
     StreamStep,
     SurfaceGrid,
 )
+from rollcast.trajectory import OBSERVED_FRAMES
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -58,7 +61,7 @@ class ForecastStep:
     covariances: Float64[np.ndarray, "objects 2 2"]
     """Square pixels."""
     angular_velocities: Float64[np.ndarray, "objects 3"] | None
-    """rad/s; None when the model has none."""
+    """rad/s; NaN for objects with kinematic motion; None if no object has any."""
 
     @classmethod
     def from_event(cls, event: StreamStep) -> Self:
@@ -77,7 +80,7 @@ class ForecastStep:
             ellipse50_radius=event.ellipse50_radius,
             positions=checked("positions", [ball.position for ball in balls], (len(balls), 2)),
             covariances=_covariances([ball.covariance for ball in balls], (len(balls),)),
-            angular_velocities=_unless_unknown(
+            angular_velocities=_angular_velocities(
                 [ball.angular_velocity for ball in balls], (len(balls), 3)
             ),
         )
@@ -97,13 +100,24 @@ class Forecast:
     """Standard deviations: radius of the ellipse that should hold the truth every second time. That
     of the ellipse that should hold 95 % is always 2.45."""
     angular_velocities: Float64[np.ndarray, "objects T 3"] | None
-    """rad/s; None when the model has none."""
+    """rad/s; NaN for objects with kinematic motion; None if no object has any."""
     final_positions: Float64[np.ndarray, "objects 2"] | None
     """Pixels: where the final frame was seen to show the balls; None without one."""
     times_s: Float64[np.ndarray, " T"]
     """Seconds after the last observed frame."""
     colors: tuple[str, ...]
     """Color of each object."""
+    scores: Float64[np.ndarray, " objects"] | None
+    """Confidence, 0 to 1, that each ball is there; None from models for a fixed number of balls."""
+    seen: Float64[np.ndarray, "objects 4 3"] | None
+    """x, y and radius of each ball in the four observed frames, pixels; None from models for a
+    fixed number of balls."""
+    object_warnings: tuple[tuple[str, ...], ...]
+    """Reasons to trust the forecast of each object less."""
+    motions: tuple[Motion, ...]
+    """``network`` or ``kinematic``: what moves each object."""
+    alternatives: tuple[AlternativeForecast | None, ...]
+    """Forecast of each object by the other motion; None from models for a fixed number of balls."""
     model: ModelReference
     """The model that answered."""
     frame_size: tuple[int, int]
@@ -120,7 +134,8 @@ class Forecast:
 
         Columns: ``step``, ``time_s``, ``object``, ``color``, ``x_px``, ``y_px``, the covariance's
         ``xx_px2``, ``xy_px2`` and ``yy_px2``, and where the model has them the angular velocities
-        ``wx_rad_s``, ``wy_rad_s`` and ``wz_rad_s``.
+        ``wx_rad_s``, ``wy_rad_s`` and ``wz_rad_s``. Of models for any number of balls also
+        ``radius_px``, ``score`` and ``warnings``, which are the same at every step of a ball.
 
         Raises
         ------
@@ -228,7 +243,7 @@ class Forecast:
             covariances=_covariances([ball.covariances for ball in balls], shape),
             covariance_source=source,
             ellipse50_radii=checked("ellipse50_radii", response.ellipse50_radii, shape[1:]),
-            angular_velocities=_unless_unknown(
+            angular_velocities=_angular_velocities(
                 [ball.angular_velocities for ball in balls], (*shape, 3)
             ),
             final_positions=None
@@ -236,6 +251,13 @@ class Forecast:
             else checked("final_positions", final, (len(balls), 2)),
             times_s=times_s,
             colors=tuple(ball.color for ball in balls),
+            scores=_unless_unknown("scores", [ball.score for ball in balls], (len(balls),)),
+            seen=_unless_unknown(
+                "seen", [_seen(ball) for ball in balls], (len(balls), OBSERVED_FRAMES, 3)
+            ),
+            object_warnings=tuple(tuple(ball.warnings) for ball in balls),
+            motions=tuple(ball.motion for ball in balls),
+            alternatives=tuple(ball.alternative for ball in balls),
             model=response.model,
             frame_size=response.frame_size,
             frame_rate=response.frame_rate,
@@ -402,7 +424,22 @@ def _covariances(values: object, shape: tuple[int, ...]) -> np.ndarray:
     return covariances
 
 
-def _unless_unknown(values: Sequence[object], shape: tuple[int, ...]) -> np.ndarray | None:
+def _seen(ball: ForecastObject) -> list[tuple[float, float, float]] | None:
+    return None if ball.seen is None else [(place.x, place.y, place.radius) for place in ball.seen]
+
+
+def _angular_velocities(values: Sequence[object], shape: tuple[int, ...]) -> np.ndarray | None:
+    """Return angular velocities, NaN for objects without; None if no object has any."""
+    if all(value is None for value in values):
+        return None
+    unknown = np.full(shape[1:], np.nan).tolist()
+    known = [unknown if value is None else value for value in values]
+    return checked("angular_velocities", known, shape)
+
+
+def _unless_unknown(
+    name: str, values: Sequence[object], shape: tuple[int, ...]
+) -> np.ndarray | None:
     known = [value is not None for value in values]
-    require(all(known) or not any(known), "angular velocities of some objects are missing")
-    return checked("angular_velocities", values, shape) if any(known) else None
+    require(all(known) or not any(known), f"{name} of some objects are missing")
+    return checked(name, values, shape) if any(known) else None

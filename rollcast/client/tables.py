@@ -26,7 +26,7 @@ def forecast_columns(forecast: "Forecast") -> Columns:
         "xy_px2": covariances[:, 0, 1],
         "yy_px2": covariances[:, 1, 1],
     }
-    return columns | _turning_columns(forecast.angular_velocities)
+    return columns | _turning_columns(forecast.angular_velocities) | _found_columns(forecast)
 
 
 def simulation_columns(simulation: "Simulation") -> Columns:
@@ -68,6 +68,18 @@ def _path_columns(result: "Forecast | Simulation") -> Columns:
         "color": np.array([*result.colors] * steps, object),
         "x_px": positions[:, 0],
         "y_px": positions[:, 1],
+    }
+
+
+def _found_columns(forecast: "Forecast") -> Columns:
+    if forecast.scores is None or forecast.seen is None:
+        return {}
+    steps = len(forecast.times_s)
+    told = np.array([" ".join(warnings) for warnings in forecast.object_warnings], object)
+    return {
+        "radius_px": np.tile(forecast.seen[:, -1, 2], steps),
+        "score": np.tile(forecast.scores, steps),
+        "warnings": np.tile(told, steps),
     }
 
 

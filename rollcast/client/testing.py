@@ -50,9 +50,9 @@ class RecordedRequest:
 class FakeService(httpx2.MockTransport):
     """A transport for ``Client`` and ``AsyncClient`` that answers like a service.
 
-    By default, balls move along lines, and forecasts continue the lines of the simulations.
-    Requests with an invalid shape (a horizon of 0, three frames) are rejected as by the real
-    service.
+    By default, balls move along lines, and forecasts continue the lines of the simulations or
+    start at the point prompts (``balls``). Requests with an invalid shape (a horizon of 0, three
+    frames) are rejected as by the real service.
 
     Parameters
     ----------

@@ -11,9 +11,11 @@ import typer
 from rollcast.client import Client
 from rollcast.client.settings import DEFAULT_URL, URL_VARIABLE
 from rollcast.footage import SquareCrop
+from rollcast.schemas import BallPrompt
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 FILMS = (".mp4", ".webm", ".gif")
+NUMBER = r"[0-9]{1,9}(\.[0-9]{0,9})?|\.[0-9]{1,9}"
 
 Connect: TypeAlias = Callable[[str | None], Client]
 """Maker of the client of an address, None for the default one."""
@@ -84,6 +86,16 @@ def _crop(text: str) -> SquareCrop:
     if not re.fullmatch(r"[0-9]+,[0-9]+,[0-9]+", text):
         raise typer.BadParameter(f"{text} is not X,Y,SIZE, three whole numbers")
     return SquareCrop(*map(int, text.split(",")))
+
+
+def _ball(text: str) -> BallPrompt:
+    numbers = text.split(",")
+    if not 2 <= len(numbers) <= 3 or not all(re.fullmatch(NUMBER, number) for number in numbers):
+        raise typer.BadParameter(f"{text} is not X,Y or X,Y,RADIUS in pixels")
+    x, y, *radius = map(float, numbers)
+    if radius == [0]:
+        raise typer.BadParameter(f"{text} has the radius 0")
+    return BallPrompt(x=x, y=y, radius=radius[0] if radius else None)
 
 
 def whole_number(lowest: int, highest: int) -> Callable[[str | int], int]:
@@ -157,8 +169,20 @@ Crop: TypeAlias = Annotated[
     typer.Option(
         parser=_crop,
         metavar="X,Y,SIZE",
-        help="square crop given to the model: left column, top row, side, in pixels (default: "
-        "the largest in the centre); the bowl or plane should just fill it",
+        help="square crop given to the model: left column, top row, side, in pixels (default: the "
+        "largest in the centre, the whole picture with --ball or a model for any number of balls); "
+        "for other models the bowl or plane should just fill it",
+    ),
+]
+Balls: TypeAlias = Annotated[
+    list[BallPrompt] | None,
+    typer.Option(
+        "--ball",
+        parser=_ball,
+        metavar="X,Y[,RADIUS]",
+        help="selects a ball by a point in the last of the four frames, in pixels of the uncropped "
+        "picture; repeat for several balls, in the order of the answer",
+        show_default=False,
     ),
 ]
 Drawing: TypeAlias = Annotated[

@@ -7,6 +7,7 @@ import numpy as np
 from PIL import Image
 
 from rollcast.client import Forecast
+from rollcast.client.pictures import rings_of
 from rollcast.commands.options import FILMS
 from rollcast.commands.progress import counted
 from rollcast.commands.reading import LaterFrames
@@ -43,7 +44,7 @@ def _picture(observed: Footage, later_frames: LaterFrames, forecast: Forecast) -
     now_s = observed.times_s[-1]
     wanted_s = now_s + forecast.times_s[spread(len(forecast.times_s), LATER_FRAMES + 1)]
     shown = later_frames(wanted_s.tolist())
-    return draw_forecast(shown.frames, shown.times_s - now_s, forecast)
+    return draw_forecast(shown.frames, shown.times_s - now_s, forecast, rings_of(forecast, -1))
 
 
 def _moments(
@@ -51,8 +52,10 @@ def _moments(
 ) -> Iterator[Image.Image]:
     """Draw the observed frames as they are, then the forecast over what really happened."""
     now_s = float(observed.times_s[-1])
-    for frame, taken_s in zip(observed.frames[:-1], observed.times_s[:-1].tolist(), strict=True):
-        yield draw_moment(frame, taken_s - now_s, forecast, f"{taken_s - now_s:+.2f} s, seen")
+    taken = zip(observed.frames[:-1], observed.times_s[:-1].tolist(), strict=True)
+    for index, (frame, taken_s) in enumerate(taken):
+        title = f"{taken_s - now_s:+.2f} s, seen"
+        yield draw_moment(frame, taken_s - now_s, forecast, title, rings_of(forecast, index))
     last = observed.frames[-1]
     for first in range(0, len(forecast.times_s), FRAMES_AT_ONCE):
         times_s: list[float] = forecast.times_s[first : first + FRAMES_AT_ONCE].tolist()
@@ -64,7 +67,8 @@ def _moments(
                 title += ", the footage has ended"
             else:
                 last = frame
-            yield draw_moment(last, time_s, forecast, title)
+            rings = rings_of(forecast, -1) if time_s == 0 else None
+            yield draw_moment(last, time_s, forecast, title, rings)
 
 
 def _shown(later_frames: LaterFrames, wanted_s: Sequence[float]) -> Footage | None:

@@ -7,8 +7,10 @@ from typing import Annotated
 import typer
 
 from rollcast.client import Client
-from rollcast.client.clips import blend_warnings
+from rollcast.client.clips import blend_warnings, setup_crop, takes_any
+from rollcast.client.prompts import moved
 from rollcast.commands.options import (
+    Balls,
     Crop,
     Drawing,
     Every,
@@ -22,11 +24,11 @@ from rollcast.commands.options import (
     whole_number,
 )
 from rollcast.commands.overlay import draw
-from rollcast.commands.printing import forecast_text
+from rollcast.commands.printing import ball_warnings, forecast_text
 from rollcast.commands.progress import waiting
 from rollcast.commands.reading import frame_of_step, read
-from rollcast.footage import SquareCrop
-from rollcast.scene import MAX_FORECAST_OBJECTS, Domain
+from rollcast.footage import PictureCrop, WholePicture
+from rollcast.scene import MAX_BALLS, Domain
 from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON
 from rollcast.trajectory import FRAME_RATE_HZ
 
@@ -34,11 +36,13 @@ HELP = """\
 Forecast balls in a video or in images.
 
 Reads four frames, requests a forecast from a running service, prints the path and, with --out,
-draws it over the footage.
+draws it over the footage. With --ball, or a model for any number of balls, whole pictures are
+sent, and rings show where the balls were seen.
 
 \b
 Examples:
   rollcast predict clip.mp4 --start 2.0 --crop 100,0,480 --out overlay.png
+  rollcast predict clip.mp4 --ball 412,230 --ball 105,88 --out rings.png
   rollcast predict clip.mp4 --every 3 --out overlay.mp4 --slower 4
   rollcast predict frames/ --rate 120 --every 3 --format csv > forecast.csv
   rollcast predict clip.mp4 --final 39 --out between.png
@@ -86,11 +90,13 @@ def predict(
     objects: Annotated[
         int | None,
         typer.Option(
-            parser=whole_number(1, MAX_FORECAST_OBJECTS),
+            parser=whole_number(1, MAX_BALLS),
             metavar="BALLS",
-            help="number of balls (default: the model's, 1 with auto)",
+            help="number of balls (default: the model's, 1 with auto; models for any number "
+            "follow those that move)",
         ),
     ] = None,
+    ball: Balls = None,
     scenario: Annotated[
         Domain | None, typer.Option(help="restrict auto to models for this scenario")
     ] = None,
@@ -103,7 +109,7 @@ def predict(
     if final is None and horizon is None:
         horizon = DEFAULT_HORIZON
     with client(context, url) as service, waiting("waiting for the service"):
-        known_rate, known_crop = _known(service, model)
+        known_rate, known_crop = _known(service, model, prompted=bool(ball))
         observed, later_frames = read(footage, start, every, rate, crop or known_crop, known_rate)
         final_frame = None if final is None else frame_of_step(final, observed, later_frames)
         forecast = service.predict(
@@ -113,20 +119,27 @@ def predict(
             horizon=horizon,
             model=model,
             objects=objects,
+            balls=moved(ball, observed.crop) if ball else None,
             scenario=scenario,
             frame_rate=observed.frame_rate,
         )
-    warnings = [*blend_warnings(observed, known_rate), *observed.warnings, *forecast.warnings]
+    warnings = [
+        *blend_warnings(observed, known_rate),
+        *observed.warnings,
+        *forecast.warnings,
+        *ball_warnings(forecast),
+    ]
     text = forecast_text(observed, forecast, warnings, form)
     drawing = None if out is None else partial(draw, out, observed, later_frames, forecast, slower)
     return Outcome(text, warnings if form == "csv" else (), finish=drawing)
 
 
-def _known(service: Client, model: str) -> tuple[float, SquareCrop | None]:
-    """Return the frame rate of a model and, for models of footage, its crop."""
-    if model == AUTO_MODEL:
-        return FRAME_RATE_HZ, None
+def _known(service: Client, model: str, *, prompted: bool) -> tuple[float, PictureCrop | None]:
+    """Return the frame rate of a model and the part of pictures that it reads."""
     name, _, version = model.partition("@")
-    entry = service.model(name, int(version) if version.isdecimal() else None)
-    crop = None if entry.setup is None else SquareCrop(*entry.setup.crop)
-    return entry.frame_rate_hz or FRAME_RATE_HZ, crop
+    known = None
+    if model != AUTO_MODEL:
+        known = service.model(name, int(version) if version.isdecimal() else None)
+    rate = known and known.frame_rate_hz
+    crop = WholePicture() if prompted or takes_any(known) else setup_crop(known)
+    return rate or FRAME_RATE_HZ, crop

@@ -6,10 +6,11 @@ from dataclasses import asdict
 from typing import Any
 
 from rollcast.client import Forecast, Simulation
+from rollcast.client.files import seen_balls
 from rollcast.client.tables import Columns, csv_text, forecast_columns, simulation_columns
 from rollcast.commands.options import Format
 from rollcast.commands.overlay import spread
-from rollcast.footage import Footage
+from rollcast.footage import Footage, PictureCrop, SquareCrop
 
 TABLE_ROWS = 10
 
@@ -28,17 +29,17 @@ def forecast_text(
     if form == "table":
         lines = [
             f"{model}: four frames from {observed.times_s[0]:.3f} s to "
-            f"{observed.times_s[-1]:.3f} s ({observed.frame_rate:.3g} a second), crop "
-            f"{crop.x},{crop.y},{crop.size}",
+            f"{observed.times_s[-1]:.3f} s ({observed.frame_rate:.3g} a second), {_shown(crop)}",
             "time_s: seconds after the last of these frames; x, y: pixels of the uncropped picture",
         ]
         warning_lines = [f"warning: {warning}" for warning in warnings]
-        return "\n".join([*lines, *_path_table(columns), *warning_lines])
+        balls = _balls(forecast, crop)
+        return "\n".join([*lines, *balls, *_path_table(columns), *warning_lines])
     return as_json(
         {
             "model": model,
             "frame_rate": forecast.frame_rate,
-            "crop": asdict(crop),
+            "crop": asdict(crop) if isinstance(crop, SquareCrop) else None,
             "observed_times_s": observed.times_s.tolist(),
             "times_s": forecast.times_s.tolist(),
             "ellipse50_radii": forecast.ellipse50_radii.tolist(),
@@ -50,14 +51,28 @@ def forecast_text(
                     "covariances": forecast.covariances[ball].tolist(),
                     "covariance_source": forecast.covariance_source,
                     "angular_velocities": None
-                    if forecast.angular_velocities is None
+                    if forecast.motions[ball] == "kinematic" or forecast.angular_velocities is None
                     else forecast.angular_velocities[ball].tolist(),
+                    "score": None if forecast.scores is None else float(forecast.scores[ball]),
+                    "seen": seen_balls(forecast, ball, crop.x, crop.y),
+                    "warnings": forecast.object_warnings[ball],
+                    "motion": forecast.motions[ball],
                 }
                 for ball, color in enumerate(forecast.colors)
             ],
             "warnings": list(warnings),
         }
     )
+
+
+def ball_warnings(forecast: Forecast) -> list[str]:
+    """Return the warnings of single balls, which name their ball where there are several."""
+    several = len(forecast.object_warnings) > 1
+    return [
+        f"ball {ball}: {warning}" if several else warning
+        for ball, warnings in enumerate(forecast.object_warnings)
+        for warning in warnings
+    ]
 
 
 def truth_text(simulation: Simulation, form: Format) -> str:
@@ -107,6 +122,25 @@ def as_table(rows: Sequence[Mapping[str, Any]]) -> str:
         "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
         for line in cells
     )
+
+
+def _shown(crop: PictureCrop) -> str:
+    if isinstance(crop, SquareCrop):
+        return f"crop {crop.x},{crop.y},{crop.size}"
+    return "whole pictures"
+
+
+def _balls(forecast: Forecast, crop: PictureCrop) -> list[str]:
+    """Say where each ball was seen in the last observed frame, and how surely."""
+    if forecast.seen is None or forecast.scores is None:
+        return []
+    places = forecast.seen[:, -1] + (crop.x, crop.y, 0)
+    return [
+        f"ball {ball}: seen at {x:.1f}, {y:.1f}, radius {radius:.1f} px, score {score:.2f}"
+        for ball, ((x, y, radius), score) in enumerate(
+            zip(places.tolist(), forecast.scores.tolist(), strict=True)
+        )
+    ]
 
 
 def _path_table(columns: Columns) -> list[str]:

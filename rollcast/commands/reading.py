@@ -11,7 +11,7 @@ from rollcast.errors import FootageEndedError
 from rollcast.footage import (
     Footage,
     FrameSource,
-    SquareCrop,
+    PictureCrop,
     rate_near,
     read_at,
     read_evenly,
@@ -28,7 +28,7 @@ def read(
     start_s: float | None,
     every: int | None,
     rate: float | None,
-    crop: SquareCrop | None,
+    crop: PictureCrop | None,
     wanted_rate: float = FRAME_RATE_HZ,
 ) -> tuple[Footage, LaterFrames]:
     """Return the observed frames and what reads later ones, both by one resampler.
@@ -85,7 +85,7 @@ def frame_of_step(step: int, observed: Footage, later_frames: LaterFrames) -> np
 
 
 def _observed(
-    source: FrameSource, start_s: float, crop: SquareCrop | None, wanted_rate: float
+    source: FrameSource, start_s: float, crop: PictureCrop | None, wanted_rate: float
 ) -> Footage:
     """Return four frames at the model's rate if the images allow it."""
     try:

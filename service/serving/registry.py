@@ -176,30 +176,19 @@ class Registry:
         fitting = [p for p in self.served if p.manifest.default and p.manifest.follows(objects)]
         of_any_number = [p for p in fitting if p.manifest.max_objects is not None]
         made_for_it = [p for p in fitting if p.manifest.max_objects is None]
-        # Those for a fixed number of balls cannot be told which ones are meant.
-        free = query.prompted or not query.square
-        peers = of_any_number if free and of_any_number else made_for_it or of_any_number
-        if query.scenario is None:
-            known = {scenario for peer in peers for scenario in peer.manifest.scenarios}
-            scenarios = known - {"footage"} or known
-        else:
-            scenarios = {query.scenario}
-        suitable = [
-            peer
-            for peer in peers
-            if scenarios <= set(peer.manifest.scenarios)
-            and (peer.manifest.final_step is not None) == query.final_frame
-            and (query.final_frame or peer.manifest.covariance.source == "predicted")
-        ]
-        if not suitable:
-            kind = "reads a final frame" if query.final_frame else "predicts a covariance"
-            raise NoSuitableModelError.at(
-                "model",
-                AUTO_MODEL,
-                f"a model's name: none for objects {objects} and scenario "
-                f"{query.scenario or 'unknown'} {kind}; served are {self._labels()}",
-            )
-        return min(suitable, key=lambda predictor: predictor.manifest.validation_error_px)
+        # Those for a fixed number of balls cannot be told which ones are meant, and read squares.
+        # Where nothing else is served, the refusal of a rectangle says so.
+        only_any = query.prompted or (of_any_number and not query.square)
+        for peers in [of_any_number] if only_any else [made_for_it, of_any_number]:
+            if suitable := _suitable(peers, query):
+                return min(suitable, key=lambda predictor: predictor.manifest.validation_error_px)
+        kind = "reads a final frame" if query.final_frame else "predicts a covariance"
+        raise NoSuitableModelError.at(
+            "model",
+            AUTO_MODEL,
+            f"a model's name: none for objects {objects} and scenario "
+            f"{query.scenario or 'unknown'} {kind}; served are {self._labels()}",
+        )
 
     def for_unfamiliar_frames(self, chosen: Predictor) -> Predictor | None:
         """Return the model that replaces a choice of "auto" for out-of-distribution frames.
@@ -220,6 +209,22 @@ class Registry:
 
     def _labels(self) -> str:
         return _one_of(model.label for model in self.models)
+
+
+def _suitable(peers: Sequence[Predictor], query: ModelQuery) -> list[Predictor]:
+    """Return the models that know all scenarios that a request may be of, and read its frames."""
+    if query.scenario is None:
+        known = {scenario for peer in peers for scenario in peer.manifest.scenarios}
+        scenarios = known - {"footage"} or known
+    else:
+        scenarios = {query.scenario}
+    return [
+        peer
+        for peer in peers
+        if scenarios <= set(peer.manifest.scenarios)
+        and (peer.manifest.final_step is not None) == query.final_frame
+        and (query.final_frame or peer.manifest.covariance.source == "predicted")
+    ]
 
 
 def _one_of(labels: Iterable[str]) -> str:

@@ -174,3 +174,52 @@ def test_a_film_over_a_video(run, video, tmp_path):
     corner = [int(frame[-5, -5, 0]) for frame, _ in frames]
     assert corner[20] > corner[5] + 20
     np.testing.assert_allclose(corner[60:], corner[-1], atol=4)
+
+
+def test_points_say_which_balls_are_meant(run, service, images):
+    """They are pixels of the uncropped picture, as all that is printed."""
+    code, out, _ = run(images, "--ball", "70,20", "--ball", "10,40,5", "--format", "json")
+    told = json.loads(out)
+    assert code == 0
+    assert told["crop"] is None
+    width, height = SIDE + 2 * OFF, SIDE
+    assert Image.open(io.BytesIO(service.asked[-1].frames[0])).size == (width, height)
+    first, second = told["objects"]
+    assert first["positions"][0] == pytest.approx([70, 20])
+    assert second["seen"][3] == pytest.approx({"x": 10, "y": 40, "radius": 5})
+    assert second["score"] > 0.5
+
+
+def test_points_stay_those_of_the_picture_with_a_crop(run, service, images):
+    code, out, _ = run(images, "--ball", "30,20", "--crop", f"{OFF},0,{SIDE}", "--format", "json")
+    assert code == 0
+    assert json.loads(service.asked[-1].fields["balls"])[0]["x"] == 30 - OFF
+    told = json.loads(out)["objects"][0]
+    assert told["positions"][0] == pytest.approx([30, 20])
+    assert told["seen"][3]["x"] == pytest.approx(30)
+
+
+def test_a_table_says_where_each_ball_was_seen(run, images):
+    _, out, _ = run(images, "--ball", "30,20,5")
+    assert "whole pictures" in out
+    assert "ball 0: seen at 30.0, 20.0, radius 5.0 px, score 0.99" in out
+
+
+@pytest.mark.parametrize("kind", ["png", "mp4"])
+def test_whole_pictures_are_drawn_whole(run, images, tmp_path, kind):
+    path = tmp_path / f"drawn.{kind}"
+    assert run(images, "--ball", "30,20", "--out", path)[0] == 0
+    if kind == "png":
+        with Image.open(path) as picture:
+            width, height = picture.size
+    else:
+        with av.open(path) as film:
+            width, height = film.streams.video[0].width, film.streams.video[0].height
+    assert width > height
+
+
+@pytest.mark.parametrize("given", ["30", "30,20,5,1", "-3,4", "a,b", "1,2,0", "nan,2"])
+def test_what_is_no_point_is_refused(run, images, given):
+    code, _, err = run(images, f"--ball={given}")
+    assert code == 2
+    assert given in err

@@ -105,6 +105,7 @@ class AsyncClient(
         final_frame: Frame | None = None,
         final_step: int | numpy.integer[Any] | None = None,
         objects: int | numpy.integer[Any] | None = None,
+        balls: Sequence[rollcast.schemas.BallPrompt | Sequence[float] | numpy.ndarray] | numpy.ndarray | None = None,
         scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
@@ -149,6 +150,21 @@ class AsyncForecastStream(
         self,
     ) -> None
     forecast: rollcast.client.results.Forecast
+BallPoint = rollcast.schemas.BallPrompt
+    | Sequence[float]
+    | numpy.ndarray
+BallPoints = Sequence[rollcast.schemas.BallPrompt
+    | Sequence[float]
+    | numpy.ndarray]
+    | numpy.ndarray
+class BallPrompt(
+        *,
+        x: Annotated[float, Strict(strict=True)],
+        y: Annotated[float, Strict(strict=True)],
+        radius: Optional[Annotated[float, Strict(strict=True), FieldInfo(annotation=NoneType, required=True, metadata=[Gt(gt=0)])]] = None,
+    ) -> None
+    model_extra: 'Dict[str, Any] | None'
+    model_fields_set: 'set[str]'
 class Client(
         base_url: str | None = None,
         *,
@@ -181,6 +197,7 @@ class Client(
         final_frame: Frame | None = None,
         final_step: int | numpy.integer[Any] | None = None,
         objects: int | numpy.integer[Any] | None = None,
+        balls: Sequence[rollcast.schemas.BallPrompt | Sequence[float] | numpy.ndarray] | numpy.ndarray | None = None,
         scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
@@ -225,6 +242,11 @@ class Forecast(
         final_positions: jaxtyping.Float64[ndarray, 'objects 2'] | None,
         times_s: jaxtyping.Float64[ndarray, 'T'],
         colors: tuple[str, ...],
+        scores: jaxtyping.Float64[ndarray, 'objects'] | None,
+        seen: jaxtyping.Float64[ndarray, 'objects 4 3'] | None,
+        object_warnings: tuple[tuple[str, ...], ...],
+        motions: tuple[Literal['network', 'kinematic'], ...],
+        alternatives: tuple[rollcast.schemas.AlternativeForecast | None, ...],
         model: rollcast.schemas.ModelReference,
         frame_size: tuple[int, int],
         frame_rate: float,

@@ -15,6 +15,7 @@ from PIL import Image
 from rollcast.client import (
     AsyncClient,
     AsyncForecastStream,
+    BallPrompt,
     Client,
     Forecast,
     ForecastStep,
@@ -30,6 +31,8 @@ from rollcast.schemas import Health, ModelDetail, ModelEntry, Problem
 def right(frames: list[np.ndarray]) -> None:
     with Client("http://127.0.0.1:8000", timeout_s=5, retries=0) as client:
         forecast = client.predict(frames, horizon=20, model="auto", objects=2, crop="square")
+        client.predict(frames, balls=[(40, 50), (90, 30, 8.0), BallPrompt(x=1, y=2)])
+        client.predict(frames, balls=np.zeros((2, 3)))
         assert_type(forecast, Forecast)
         assert_type(forecast.to_dataframe(), pd.DataFrame)
         assert_type(forecast.plot(frames[3:]), Image.Image)

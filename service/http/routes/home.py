@@ -3,10 +3,12 @@
 import os
 from pathlib import Path
 
-from fastapi import APIRouter, FastAPI
+from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import FileResponse, Response
 from fastapi.staticfiles import StaticFiles
 from starlette.types import Scope
+
+from service.http.compression import compressed_file
 
 STATIC = Path(__file__).resolve().parents[2] / "static"
 PAGE = STATIC / "index.html"
@@ -32,10 +34,11 @@ router = APIRouter(include_in_schema=False)
 
 @router.head("/")
 @router.get("/")
-async def home() -> FileResponse:
+async def home(request: Request) -> Response:
     """Return the page."""
     headers = REVALIDATED | {"Content-Security-Policy": CONTENT_SECURITY_POLICY}
-    return FileResponse(PAGE, media_type="text/html", headers=headers)
+    page = FileResponse(PAGE, media_type="text/html", headers=headers)
+    return compressed_file(page, PAGE, request.scope)
 
 
 def install_static_files(app: FastAPI) -> None:
@@ -56,4 +59,4 @@ class _StaticFiles(StaticFiles):
         """Answer with a file, or that it has not changed."""
         response = super().file_response(full_path, stat_result, scope, status_code)
         response.headers.update(REVALIDATED)
-        return response
+        return compressed_file(response, Path(full_path), scope)

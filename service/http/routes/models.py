@@ -43,6 +43,7 @@ def _entry(model: Model) -> ModelEntry:
         preset=manifest.preset,
         scenarios=list(manifest.scenarios),
         objects=manifest.objects,
+        max_objects=manifest.max_objects,
         frame_rate_hz=manifest.frame_rate_hz,
         setup=None if manifest.setup is None else ModelSetup(**manifest.setup.model_dump()),
         frames=manifest.frames,

@@ -26,9 +26,22 @@ export class Bring {
     return {
       startS: Number(byId("start").value),
       spacingS: Math.max(Number(byId("spacing").value) || 25, 0.1) / 1000,
-      crop: this.crop,
+      crop: this.isWhole
+        ? { x: 0, y: 0, width: this.footage.width, height: this.footage.height }
+        : this.crop,
       knownRate: this.known.rate,
     };
+  }
+
+  /** Whether the whole picture is sent, which models for any number of balls read. */
+  get isWhole() {
+    return byId("whole").checked;
+  }
+
+  /** Offer whole pictures where a model reads them; take them unless a square has been chosen. */
+  offerWhole(isOffered) {
+    byId("whole-field").hidden = !isOffered;
+    byId("whole").checked = isOffered && !this._hasSquare;
   }
 
   /**
@@ -50,6 +63,8 @@ export class Bring {
       `The model knows ${byId("spacing").value} ms, ${Number(rate.toFixed(2))} frames a second. ` +
       "Frames that a camera did not take are blended.";
     if (!crop || !this.footage) return;
+    this._hasSquare = true;
+    byId("whole").checked = false;
     const [x, y, size] = crop;
     this.crop = inside({ x, y, size }, this.footage.width, this.footage.height);
     this._showCrop();
@@ -66,6 +81,7 @@ export class Bring {
       return;
     }
     this.crop = centred(this.footage.width, this.footage.height);
+    this._hasSquare = false;
     byId("footage-settings").hidden = false;
     byId("image-rate-field").hidden = this.footage.kind === "video";
     byId("image-rate").value = "40";
@@ -85,7 +101,7 @@ export class Bring {
       const shot = await this.footage.shotAt(Math.min(this.wanted.startS, this.footage.durationS));
       if (asked !== this._asked || !shot) return;
       const { width, height } = this.footage;
-      this._editor.show(this._listener.canvas(), shot.picture, width, height, this.crop);
+      this._editor.show(this._listener.canvas(), shot.picture, width, height, this.crop, this.isWhole);
     } catch (error) {
       this._listener.failed(error);
     }
@@ -107,6 +123,8 @@ export class Bring {
 
   _cropped(crop) {
     this.crop = crop;
+    this._hasSquare = true;
+    byId("whole").checked = false;
     this._showCrop();
     this._listener.changed();
   }
@@ -130,6 +148,11 @@ export class Bring {
       this.footage.rate = Math.max(Number(byId("image-rate").value) || 40, 0.1);
       this._describe();
       this._listener.changed();
+    });
+    byId("whole").addEventListener("change", () => {
+      this._hasSquare = !this.isWhole;
+      this._listener.changed();
+      this.edit();
     });
     byId("spacing").addEventListener("change", () => this._listener.changed());
     for (const [name, id] of Object.entries(FIELDS)) {

@@ -1,7 +1,11 @@
 /** The form of choices: what the user does with it, and what it says. */
 
 import { byId } from "./dom.js";
-import { finalStepOf, isServed, rateOf, showModels, stillFitting } from "./models.js";
+import {
+  finalStepOf, forAnyNumber, isServed, rateOf, showModels, stillFitting,
+} from "./models.js";
+import { showPicks } from "./picks.js";
+import { pointsOf } from "./state.js";
 
 const SCENARIOS = ["hemisphere", "ellipsoid", "heightfield"];
 const RADIOS = { source: String, scenario: String, balls: Number };
@@ -46,6 +50,11 @@ export function installControls(store) {
 export function possible(choices, entries) {
   const change = {};
   const source = { ...choices };
+  const any = forAnyNumber(entries, choices);
+  if (choices.points && entries.length && !any) change.points = source.points = "";
+  if (choices.balls === 0 && entries.length && (choices.source === "scene" || !any)) {
+    change.balls = source.balls = 1;
+  }
   if (!isServed(entries, { ...source, finalFrame: false }) && entries.length) {
     change.balls = source.balls = 1;
   }
@@ -88,12 +97,16 @@ export function showSimulation(isInstalled) {
 }
 
 function showBalls(choices, entries) {
-  const served = (balls) => isServed(entries, { ...choices, balls, finalFrame: false });
-  for (const balls of [1, 2, 3, 4]) byId(`balls-${balls}`).disabled = !served(balls);
-  byId("balls-4").parentElement.hidden = !served(4); // no scene has them
+  const numbers = { ...choices, points: "", finalFrame: false };
+  const served = (balls) => isServed(entries, { ...numbers, balls });
+  for (const balls of [0, 1, 2, 3, 4]) byId(`balls-${balls}`).disabled = !served(balls);
+  byId("balls-0").parentElement.hidden = choices.source === "scene" || !served(0);
+  showPicks(pointsOf(choices), forAnyNumber(entries, choices) !== null);
+  // No scene has four.
+  byId("balls-4").parentElement.hidden = choices.source === "scene" || !served(4);
   const absent = [2, 3].filter((balls) => !served(balls));
   const elsewhere = SCENARIOS.filter((scenario) =>
-    absent.some((balls) => isServed(entries, { ...choices, scenario, balls, finalFrame: false })),
+    absent.some((balls) => isServed(entries, { ...numbers, scenario, balls })),
   );
   byId("balls-hint").hidden = !absent.length || !entries.length;
   byId("balls-hint").textContent = elsewhere.length
@@ -125,5 +138,6 @@ function showHorizon(steps, rate) {
 
 function summaryOf({ source, scenario, seed, balls, models }) {
   const what = source === "scene" ? `${scenario}, seed ${seed}` : "your footage";
-  return `${what} · ${balls} ${balls === 1 ? "ball" : "balls"} · ${models.join(", ")}`;
+  const number = balls === 0 ? "any balls" : balls === 1 ? "1 ball" : `${balls} balls`;
+  return `${what} · ${number} · ${models.join(", ")}`;
 }

@@ -30,10 +30,11 @@ export class CropEditor {
    * @param {HTMLCanvasElement} canvas square
    * @param {CanvasImageSource} picture
    */
-  show(canvas, picture, width, height, crop) {
+  show(canvas, picture, width, height, crop, isWhole = false) {
     const copy = canvasOf(width, height);
     copy.getContext("2d").drawImage(picture, 0, 0);
     Object.assign(this, { _picture: copy, _width: width, _height: height, _crop: crop });
+    this._isWhole = isWhole;
     if (canvas !== this._canvas) {
       this._canvas = canvas;
       this._listen(canvas);
@@ -44,6 +45,7 @@ export class CropEditor {
 
   move(crop) {
     this._crop = crop;
+    this._isWhole = false;
     if (this._picture) this._draw();
   }
 
@@ -73,13 +75,17 @@ export class CropEditor {
     context.fillStyle = "#08090b";
     context.fillRect(0, 0, canvas.width, canvas.height);
     context.drawImage(this._picture, left, top, this._width * scale, this._height * scale);
+    context.lineWidth = Math.max(canvas.width / 280, 1.5);
+    context.strokeStyle = "#ffffff";
+    if (this._isWhole) {
+      context.strokeRect(left, top, this._width * scale, this._height * scale);
+      return;
+    }
     context.fillStyle = "rgba(8, 9, 11, 0.62)";
     context.beginPath();
     context.rect(0, 0, canvas.width, canvas.height);
     context.rect(...square);
     context.fill("evenodd");
-    context.lineWidth = Math.max(canvas.width / 280, 1.5);
-    context.strokeStyle = "#ffffff";
     context.strokeRect(...square);
     this._drawThirds(context, square);
     this._drawHandles(context, square);
@@ -121,6 +127,7 @@ export class CropEditor {
       if (!held) return;
       const wish = held.corner ? resized(held.crop, held.corner, at) : moved(held, at);
       this._crop = inside(wish, this._width, this._height);
+      this._isWhole = false;
       this._draw();
       this._changed(this._crop);
     });

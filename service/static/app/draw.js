@@ -1,14 +1,17 @@
 /** One moment of footage with the forecasts over it, on any canvas: the stage's or a download's. */
 
 import { ellipseOf, MOST } from "./figures.js";
-import { CASING, faded, ON_PICTURES, TRUTH } from "./palette.js";
+import { CASING, DOUBTFUL, faded, ON_PICTURES, TRUTH } from "./palette.js";
 import { LAST_SEEN } from "./state.js";
+import { isDoubtful } from "./verdict.js";
 
 /**
  * @typedef {object} Picture
  * @property {CanvasImageSource | null} frame what the camera saw then
  * @property {CanvasImageSource | null} [lastFrame] what it saw last, where the footage has ended
- * @property {number} frameSize side of the frames, pixels: the unit of every position
+ * @property {number} width of the frames, pixels: the unit of every position
+ * @property {number} height of the frames, pixels
+ * @property {number[][]} points that select balls, in the last seen frame
  * @property {number} index frame; the forecast's step is index - 3
  * @property {object[]} forecasts those to be drawn, with `slot` and `objects`
  * @property {object[] | null} truth
@@ -21,11 +24,20 @@ import { LAST_SEEN } from "./state.js";
  * @param {Picture} picture
  */
 export function drawMoment(context, side, picture) {
-  const scale = side / picture.frameSize;
+  const { width, height } = picture;
+  const scale = side / Math.max(width, height);
   const pen = { context, scale, unit: side / 560 };
   context.save();
   context.lineJoin = context.lineCap = "round";
-  drawFrame(context, side, picture);
+  context.fillStyle = "#08090b";
+  context.fillRect(0, 0, side, side);
+  // Rectangles stand in the middle of the square.
+  context.translate((side - width * scale) / 2, (side - height * scale) / 2);
+  context.beginPath();
+  context.rect(0, 0, width * scale, height * scale);
+  context.clip();
+  drawFrame(context, width * scale, height * scale, picture);
+  for (const forecast of picture.forecasts) drawSeen(pen, forecast, picture.index);
   const step = picture.index - LAST_SEEN;
   if (picture.ellipses) {
     for (const forecast of picture.forecasts) drawDoubt(pen, forecast, step);
@@ -34,34 +46,74 @@ export function drawMoment(context, side, picture) {
     drawPath(pen, ball.positions.slice(0, picture.index + 1), TRUTH, 2, [1, 5]);
   }
   for (const forecast of picture.forecasts) {
-    for (const ball of forecast.objects) {
-      drawPath(pen, ball.positions.slice(0, Math.max(step + 1, 0)), ON_PICTURES[forecast.slot], 3);
+    for (const [index, ball] of forecast.objects.entries()) {
+      const color = colorOf(forecast, index);
+      // While points are chosen, all of the path shows what they lead to.
+      const isChoosing = picture.index === LAST_SEEN && picture.points.length > 0;
+      const until = isChoosing ? ball.positions.length : Math.max(step + 1, 0);
+      drawPath(pen, ball.positions.slice(0, until), color, 3);
     }
   }
   for (const ball of picture.truth ?? []) drawRing(pen, ball.positions[picture.index]);
   for (const forecast of picture.forecasts) {
-    for (const ball of forecast.objects) drawMark(pen, ball.positions[step], forecast.slot);
+    for (const [index, ball] of forecast.objects.entries()) {
+      drawMark(pen, ball.positions[step], forecast.slot, colorOf(forecast, index));
+    }
   }
+  if (picture.index === LAST_SEEN) drawPoints(pen, picture.points);
   context.restore();
 }
 
-function drawFrame(context, side, { frame, lastFrame }) {
-  context.fillStyle = "#08090b";
-  context.fillRect(0, 0, side, side);
+/** Rings where the model saw the balls in a seen frame. */
+export function drawSeen({ context, scale, unit }, forecast, frame) {
+  for (const [index, ball] of (forecast.done?.objects ?? []).entries()) {
+    const place = ball.seen?.[frame];
+    if (!place) continue;
+    context.beginPath();
+    context.arc(place.x * scale, place.y * scale, Math.max(place.radius * scale, 4 * unit), 0, 2 * Math.PI);
+    outline(context, colorOf(forecast, index), 2 * unit, unit);
+  }
+}
+
+/** The points that were chosen, with their numbers. */
+function drawPoints({ context, scale, unit }, points) {
+  context.font = `600 ${13 * unit}px system-ui, sans-serif`;
+  context.textBaseline = "middle";
+  for (const [index, [x, y]] of points.entries()) {
+    const [left, top] = [x * scale, y * scale];
+    context.beginPath();
+    for (const [dx, dy] of [[0, 1], [0, -1], [1, 0], [-1, 0]]) {
+      context.moveTo(left + 3 * dx * unit, top + 3 * dy * unit);
+      context.lineTo(left + 10 * dx * unit, top + 10 * dy * unit);
+    }
+    outline(context, "#ffffff", 1.5 * unit, unit);
+    context.lineWidth = 3 * unit;
+    context.strokeStyle = CASING;
+    context.strokeText(String(index + 1), left + 11 * unit, top - 11 * unit);
+    context.fillStyle = "#ffffff";
+    context.fillText(String(index + 1), left + 11 * unit, top - 11 * unit);
+  }
+}
+
+function colorOf(forecast, index) {
+  return isDoubtful(forecast, index) ? DOUBTFUL : ON_PICTURES[forecast.slot];
+}
+
+function drawFrame(context, width, height, { frame, lastFrame }) {
   const shown = frame ?? lastFrame;
   if (!shown) return;
   context.imageSmoothingQuality = "high";
-  context.drawImage(shown, 0, 0, side, side);
+  context.drawImage(shown, 0, 0, width, height);
   if (!frame) {
     context.fillStyle = "rgba(8, 9, 11, 0.55)";
-    context.fillRect(0, 0, side, side);
+    context.fillRect(0, 0, width, height);
   }
 }
 
 /** Ellipses of 95 % along the way, and of 95 % and 50 % for now. */
 function drawDoubt({ context, scale, unit }, forecast, step) {
-  const color = ON_PICTURES[forecast.slot];
-  for (const ball of forecast.objects) {
+  for (const [index, ball] of forecast.objects.entries()) {
+    const color = colorOf(forecast, index);
     const last = Math.min(step, ball.positions.length - 1);
     context.fillStyle = faded(color, 0.07);
     for (let past = last % 2; past < last; past += 2) {
@@ -116,7 +168,7 @@ function drawRing({ context, scale, unit }, position) {
 }
 
 /** ×, + or a rhombus, by the forecast's slot. */
-function drawMark({ context, scale, unit }, position, slot) {
+function drawMark({ context, scale, unit }, position, slot, color) {
   if (!position) return;
   const [x, y] = position.map((value) => value * scale);
   const arm = (slot === 0 ? 6 : 8) * unit;
@@ -131,5 +183,5 @@ function drawMark({ context, scale, unit }, position, slot) {
       context[i ? "lineTo" : "moveTo"](x + stroke[i], y + stroke[i + 1]);
     }
   }
-  outline(context, ON_PICTURES[slot], 2.5 * unit, 1.2 * unit);
+  outline(context, color, 2.5 * unit, 1.2 * unit);
 }

@@ -38,11 +38,12 @@ export function holds([[a, b], [, c]], [x, y], [trueX, trueY]) {
 export function curvesOf(forecast, truth) {
   const steps = forecast.times.length;
   const curves = { errors: [], radii: [], held: [] };
+  const paths = truePathsOf(forecast, truth);
   for (let step = 0; step < steps; step++) {
     const balls = forecast.objects.map((ball, index) => {
       const position = ball.positions[step];
       const covariance = ball.covariances[step];
-      const at = truth?.[index]?.positions[step + LAST_SEEN];
+      const at = paths[index]?.positions[step + LAST_SEEN];
       return {
         radius: radius95(covariance),
         error: at ? Math.hypot(at[0] - position[0], at[1] - position[1]) : null,
@@ -55,6 +56,19 @@ export function curvesOf(forecast, truth) {
     curves.held.push(known ? balls.every((ball) => ball.held) : null);
   }
   return curves;
+}
+
+/** The true path of each object: by its number or, where the model finds balls, the nearest at t = 0. */
+function truePathsOf({ objects, done }, truth) {
+  const isFound = done?.objects.some(({ seen }) => seen);
+  if (!truth || !isFound) return truth ?? [];
+  return objects.map(({ positions: [[x, y]] }) => {
+    const far = truth.map(({ positions }) => {
+      const [trueX, trueY] = positions[LAST_SEEN];
+      return Math.hypot(trueX - x, trueY - y);
+    });
+    return truth[far.indexOf(Math.min(...far))];
+  });
 }
 
 export function mean(values) {

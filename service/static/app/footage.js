@@ -253,12 +253,23 @@ function findDuration(video) {
   });
 }
 
-/** Cut a square out of a picture, at most 512 pixels a side: the models see 128. */
+/** Sides of what is sent, pixels: models for a fixed number of balls see 128 of a square. */
+const LARGEST_SQUARE = 512;
+const LARGEST_PICTURE = 1280;
+const SMALLEST = 32;
+
+/**
+ * Cut a square, or a whole picture, out of a picture.
+ * @param {{x: number, y: number, size: number} | {x: number, y: number, width: number, height: number}} crop
+ */
 export function cut(picture, crop) {
-  const side = Math.max(Math.min(Math.round(crop.size), 512), 32);
-  const canvas = canvasOf(side);
+  const { x, y, width = crop.size, height = crop.size } = crop;
+  const largest = crop.size ? LARGEST_SQUARE : LARGEST_PICTURE;
+  const scale = Math.min(largest / Math.max(width, height), 1);
+  const [across, down] = [width, height].map((side) => Math.max(Math.round(side * scale), SMALLEST));
+  const canvas = canvasOf(across, down);
   const context = canvas.getContext("2d");
   context.imageSmoothingQuality = "high";
-  context.drawImage(picture, crop.x, crop.y, crop.size, crop.size, 0, 0, side, side);
+  context.drawImage(picture, x, y, width, height, 0, 0, across, down);
   return canvas;
 }

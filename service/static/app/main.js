@@ -6,17 +6,21 @@ import { Chart } from "./chart.js";
 import { installControls, possible, showControls, showSimulation } from "./controls.js";
 import { byId } from "./dom.js";
 import { signedSeconds } from "./figures.js";
+import { LazySurface } from "./lazy_surface.js";
 import { clearMessages, showError, showWait } from "./messages.js";
-import { finalStepOf, leading, rateOf } from "./models.js";
+import { finalStepOf, forAnyNumber, labelOf, leading, rateOf, readRectangles } from "./models.js";
+import { Picks } from "./picks.js";
 import { Player } from "./player.js";
 import { showFigures, showHealth, showLegend, showNotes } from "./readout.js";
 import { Session } from "./session.js";
 import { installSharing } from "./sharing.js";
 import { phaseOf, Stage } from "./stage.js";
-import { choicesFrom, createStore, fragmentOf, LAST_SEEN } from "./state.js";
-import { Surface3d } from "./surface3d.js";
+import {
+  choicesFrom, createStore, fragmentOf, LAST_SEEN, pointsOf, textOf,
+} from "./state.js";
 import { installTheme } from "./theme.js";
 import { installTransport, showTransport } from "./transport.js";
+import { verdictOf } from "./verdict.js";
 
 const HEALTH_EVERY_MS = 5000;
 /** Choices that only change how things are drawn; all others ask the service anew. */
@@ -43,7 +47,7 @@ const chart = new Chart((timeS) => {
   player.pause();
   player.seek(LAST_SEEN + timeS * (session.take?.rate ?? 40));
 });
-const surface = new Surface3d();
+const surface = new LazySurface();
 const session = new Session({
   changed: requestShow,
   waiting: showWait,
@@ -63,10 +67,25 @@ const bring = new Bring({
   canvas: () => stage.single(),
 });
 
+const picks = new Picks({
+  isOpen: () => session.take !== null && !editing && forAnyNumber(entries, store.get()) !== null,
+  isLastSeen: () => player.index === LAST_SEEN && !player.playing,
+  showLastSeen() {
+    player.pause();
+    player.seek(LAST_SEEN);
+  },
+  size: () => session.take && { width: session.take.width, height: session.take.height },
+  changed: (points) => store.set({ points: textOf(points) }),
+  dragged: () => showMoment(player.index),
+});
+
 /** What /predict is asked besides frames and model. */
 function requestOf(choices) {
   const horizon = session.finalIndex === null ? choices.horizon : session.finalIndex - LAST_SEEN + 1;
-  const request = { horizon, objects: choices.balls };
+  const points = pointsOf(choices);
+  const request = { horizon };
+  if (points.length) request.balls = points.map(([x, y]) => ({ x, y }));
+  else if (choices.balls) request.objects = choices.balls;
   if (choices.source === "scene") return { ...request, scenario: choices.scenario };
   return { ...request, frame_rate: Number(session.take.rate.toFixed(4)) };
 }
@@ -93,15 +112,16 @@ async function run() {
     let others = null;
     if (choices.source === "scene") {
       showBusy("Simulating the scene …");
-      await session.scene(choices, horizon + LAST_SEEN, signal);
+      others = await session.scene(choices, horizon + LAST_SEEN, signal);
     } else {
       showBusy("Taking the frames out of your footage …");
       others = await session.footage(bring.footage, bring.wanted, session.finalIndex, signal);
     }
     leaveEditing();
     begin(choices, horizon);
-    const forecasts = session.forecast(choices.models, requestOf(choices), signal);
-    showBusy(others ? "Reading on in your footage …" : null);
+    const forecasts = session.forecast(modelsOf(choices), requestOf(choices), signal);
+    const going = choices.source === "scene" ? "Loading the later frames …" : "Reading on in your footage …";
+    showBusy(others ? going : null);
     await Promise.all([forecasts, others?.(horizon - 1 + LAST_SEEN)]);
     showBusy(null);
     showHealth("ready");
@@ -125,6 +145,13 @@ async function run() {
   }
 }
 
+/** The models that are asked; where the number is left open, "auto" would take one ball. */
+function modelsOf(choices) {
+  const any = choices.balls === 0 ? forAnyNumber(entries, choices) : null;
+  if (!any) return choices.models;
+  return [...new Set(choices.models.map((name) => (name === "auto" ? labelOf(any) : name)))];
+}
+
 /** Set the clock to the beginning of what has just come. */
 function begin(choices, horizon) {
   player.last = horizon - 1 + LAST_SEEN;
@@ -133,7 +160,9 @@ function begin(choices, horizon) {
   player.speed = choices.speed;
   session.forecasts = [];
   stage.showSeen(session.take, session.finalIndex);
-  player.seek(0);
+  // Points are chosen on the last seen frame, which stays until all of them are.
+  player.seek(choices.points ? LAST_SEEN : 0);
+  if (choices.points) return;
   if (CALM.matches) player.seek(player.last);
   else player.play();
 }
@@ -141,6 +170,7 @@ function begin(choices, horizon) {
 /** Take the footage as the model that is chosen knows it: its rate and, of a set-up, its square. */
 function suit(choices) {
   const wish = { ...choices, source: "footage" };
+  bring.offerWhole(readRectangles(entries, wish));
   return bring.suit({
     rate: rateOf(entries, wish),
     crop: leading(entries, wish)?.setup?.crop ?? null,
@@ -148,6 +178,11 @@ function suit(choices) {
 }
 
 function edit() {
+  if (store.get().points) {
+    picks.points = [];
+    Object.assign(store.get(), { points: "" });
+    showControls(store.get(), entries, store);
+  }
   stop();
   editing = true;
   session.take = null;
@@ -172,6 +207,19 @@ function leaveEditing() {
   delete byId("stage").dataset.mode;
 }
 
+let shownRings = 0;
+/** Say on the picture how far to trust it, and draw rings where balls were seen. */
+function showVerdict(forecasts) {
+  const { text, isDoubt } = verdictOf(forecasts);
+  if (byId("verdict").textContent !== text) byId("verdict").textContent = text;
+  byId("verdict").dataset.doubt = String(isDoubt);
+  const rings = forecasts.filter(({ done }) => done?.objects.some(({ seen }) => seen)).length;
+  if (session.take && rings !== shownRings) {
+    stage.showSeen(session.take, session.finalIndex, forecasts);
+  }
+  shownRings = rings;
+}
+
 let isAsked = false;
 /** Show everything anew, once a frame of the screen however much has come. */
 function requestShow() {
@@ -190,6 +238,7 @@ function show() {
   const forecast = LAST_SEEN - 1 + (least === Infinity ? player.last : least);
   player.arrived = Math.min(forecast, take && !take.isComplete ? take.frames.length - 1 : Infinity);
   showLegend(forecasts, truth !== null);
+  showVerdict(forecasts);
   showNotes(take, forecasts);
   chart.show(forecasts, truth, take ? (player.last - LAST_SEEN) / take.rate : 1);
   surface.show(take, forecasts);
@@ -210,7 +259,7 @@ function showMoment(index) {
     showFigures([], null, 0);
     return;
   }
-  stage.show(take, forecasts, store.get(), index);
+  stage.show(take, forecasts, { ...store.get(), points: textOf(picks.points) }, index);
   showFigures(forecasts, take.truth, index);
   const timeS = (index - LAST_SEEN) / take.rate;
   byId("badge").textContent =
@@ -231,6 +280,11 @@ store.subscribe((choices, before) => {
     store.set(change);
     return;
   }
+  if (choices.points && isOtherScene(choices, before)) {
+    store.set({ points: "" });
+    return;
+  }
+  picks.points = pointsOf(choices);
   history.replaceState(null, "", `#${fragmentOf(choices)}`);
   showControls(choices, entries, store);
   player.speed = choices.speed;
@@ -247,6 +301,12 @@ store.subscribe((choices, before) => {
   }
   lastShown = choices;
 });
+/** Whether points of the frames before would be of something else. */
+function isOtherScene(choices, before) {
+  const names = choices.source === "scene" ? ["source", "scenario", "seed", "balls"] : ["source"];
+  return names.some((name) => choices[name] !== before[name]);
+}
+
 /** The choices that the page showed last: some changes take several steps. */
 let lastShown = null;
 
@@ -306,6 +366,7 @@ async function watch() {
   setTimeout(watch, status === "ready" ? HEALTH_EVERY_MS : HEALTH_EVERY_MS / 5);
 }
 
+picks.points = pointsOf(store.get());
 showControls(store.get(), entries, store);
 stage.single();
 watch();

@@ -11,16 +11,44 @@ export const AUTO = "auto";
  * @param {object[]} entries of GET /models
  * @param {import("./state.js").Choices} choices
  */
-export function fitting(entries, { source, scenario, balls, finalFrame }) {
+export function fitting(entries, choices) {
+  const { source, scenario, finalFrame } = choices;
   return entries
     .filter(
       (entry) =>
         entry.status === "ready" &&
-        entry.objects === balls &&
+        follows(entry, choices) &&
         entry.frames === (finalFrame ? 5 : 4) &&
         (source === "footage" || entry.scenarios.includes(scenario)),
     )
     .sort((a, b) => errorOf(a) - errorOf(b));
+}
+
+/** Whether a model forecasts the balls that are chosen, by their number or by points. */
+function follows(entry, { balls, points }) {
+  if (points) return isForAny(entry);
+  if (!isForAny(entry)) return entry.objects === balls;
+  return balls === 0 || (entry.objects <= balls && balls <= entry.max_objects);
+}
+
+/** Whether a model follows any number of balls, in frames of any rectangle. */
+export function isForAny(entry) {
+  return (entry.max_objects ?? null) !== null;
+}
+
+/** The model for any number of balls that "auto" would use; null if none is served. */
+export function forAnyNumber(entries, choices) {
+  const open = { ...choices, balls: 0, points: "", finalFrame: false };
+  return fitting(entries, open).find(isForAny) ?? null;
+}
+
+/** Whether every chosen model can be sent whole pictures; "auto" then takes one that reads them. */
+export function readRectangles(entries, choices) {
+  if (choices.finalFrame || forAnyNumber(entries, choices) === null) return false;
+  const found = fitting(entries, choices);
+  return choices.models.every(
+    (name) => name === AUTO || found.some((entry) => labelOf(entry) === name && isForAny(entry)),
+  );
 }
 
 /** Frames a second of what every simulation shows, and of models that do not tell. */
@@ -34,7 +62,8 @@ export function leading(entries, choices) {
   const found = fitting(entries, choices);
   const [name] = choices.models;
   if (name !== AUTO) return found.find((entry) => labelOf(entry) === name) ?? null;
-  return found.find((entry) => !entry.setup) ?? found[0] ?? null;
+  const general = found.filter((entry) => !entry.setup);
+  return general.find((entry) => !isForAny(entry)) ?? general[0] ?? found[0] ?? null;
 }
 
 /** Steps a second of forecasts. */

@@ -23,7 +23,7 @@ export function spacingOf(intervalS, wantedS) {
 /**
  * Yield frames from a start until the footage ends.
  * @param {import("./footage.js").ImageFootage | import("./footage.js").VideoFootage} footage
- * @param {{startS: number, spacingS: number, crop: {x: number, y: number, size: number}}} wanted
+ * @param {{startS: number, spacingS: number, crop: object}} wanted crop as for `cut`
  * @returns {AsyncGenerator<{frame: HTMLCanvasElement, blendedOverS: number}>}
  */
 export async function* framesOf(footage, { startS, spacingS, crop }) {
@@ -95,7 +95,8 @@ class Shots {
 
 function faded(before, after, share) {
   const canvas = document.createElement("canvas");
-  canvas.width = canvas.height = before.width;
+  canvas.width = before.width;
+  canvas.height = before.height;
   const context = canvas.getContext("2d");
   context.drawImage(before, 0, 0);
   context.globalAlpha = share;

@@ -1,18 +1,23 @@
 /** From choices to frames and forecasts: what is asked of the service, in order. */
 
 import { predictStream, ServiceProblem, simulate } from "./api.js";
+import { isSlowLink } from "./link.js";
 import { framesOf } from "./resample.js";
 import { FootageError } from "./footage.js";
 import { SEEN } from "./state.js";
 
 const IMAGE_SIZE = 256;
+/** Side of frames on a slow link, pixels. */
+const SMALL_IMAGE_SIZE = 128;
 const ATTEMPTS = 4;
 
 /**
  * @typedef {object} Take what there is to see
  * @property {string} title
  * @property {(CanvasImageSource | undefined)[]} frames
- * @property {number} frameSize side, pixels
+ * @property {number} width of the frames, pixels
+ * @property {number} height of the frames, pixels
+ * @property {number} frameSize their longer side, pixels
  * @property {number} rate frames a second
  * @property {object[] | null} truth
  * @property {object | null} surface
@@ -42,22 +47,29 @@ export class Session {
     return this._ended.signal;
   }
 
-  /** Simulate a scene, unless it is the one that is there. */
+  /**
+   * Simulate a scene, unless it is the one that is there.
+   * @returns {Promise<(() => Promise<void>) | null>} what loads the later frames, on a slow link
+   */
   async scene({ scenario, balls, seed }, steps, signal) {
+    const isSlow = isSlowLink() && this.finalIndex === null;
     const asked = {
       scenario,
       objects: balls,
       seed: asNumber(seed),
-      steps,
-      image_size: IMAGE_SIZE,
-      include_surface: true,
+      image_size: isSlow ? SMALL_IMAGE_SIZE : IMAGE_SIZE,
     };
-    const key = JSON.stringify({ ...asked, steps: 0 });
-    if (this.take?.key === key && this.take.frames.length >= steps) return;
-    const answer = await this._asked(() => simulate(asked, signal), signal);
-    const frames = await Promise.all(answer.frames.map(bitmapOf));
-    if (signal.aborted) throw new DOMException("", "AbortError");
-    this.take = {
+    const key = JSON.stringify(asked);
+    if (this.take?.key === key && this.take.frames.length >= steps) return null;
+    const simulated = async (part) => {
+      const answer = await this._asked(() => simulate({ ...asked, ...part }, signal), signal);
+      const frames = await Promise.all(answer.frames.map(bitmapOf));
+      if (signal.aborted) throw new DOMException("", "AbortError");
+      return { answer, frames };
+    };
+    const whole = { steps, include_surface: true };
+    const { answer, frames } = await simulated(isSlow ? { steps: SEEN } : whole);
+    const take = {
       key,
       kind: "scene",
       scenario,
@@ -65,6 +77,8 @@ export class Session {
       file: `rollcast-${scenario}-${seed}`,
       frames,
       sent: answer.frames,
+      width: answer.frame_size[0],
+      height: answer.frame_size[1],
       frameSize: answer.frame_size[0],
       rate: answer.frame_rate,
       truth: answer.objects,
@@ -72,7 +86,15 @@ export class Session {
       surface: answer.surface,
       scene: answer.scene,
       notes: [],
-      isComplete: true,
+      isComplete: !isSlow,
+    };
+    this.take = take;
+    if (!isSlow) return null;
+    return async () => {
+      const later = await simulated(whole);
+      const { objects: truth, surface } = later.answer;
+      Object.assign(take, { frames: later.frames, truth, surface, isComplete: true });
+      this._listener.changed();
     };
   }
 
@@ -105,7 +127,9 @@ export class Session {
     while (take.frames.length < needed) {
       if (!(await next())) throw new FootageError(tooShort(take, needed, wanted));
     }
-    take.frameSize = take.frames[0].width;
+    take.width = take.frames[0].width;
+    take.height = take.frames[0].height;
+    take.frameSize = Math.max(take.width, take.height);
     take.notes = footageNotes(take.rate, wanted.knownRate, blendedS);
     take.sent = await Promise.all(take.frames.map((frame) => pngOf(frame)));
     this.take = take;
@@ -147,7 +171,9 @@ export class Session {
       return { ...fields, frames, ...(final && { final_frame: final }) };
     }
     const form = new FormData();
-    for (const [name, value] of Object.entries(fields)) form.append(name, String(value));
+    for (const [name, value] of Object.entries(fields)) {
+      form.append(name, typeof value === "object" ? JSON.stringify(value) : String(value));
+    }
     for (const [index, file] of frames.entries()) form.append("frames", file, `frame-${index}.png`);
     if (final) form.append("final_frame", final, "final.png");
     return form;

@@ -94,7 +94,8 @@ async function saveFrames({ take, finalIndex }) {
   if (finalIndex !== null) named.push([take.frames[finalIndex], "final.png"]);
   for (const [frame, name] of named) {
     const canvas = document.createElement("canvas");
-    canvas.width = canvas.height = take.frameSize;
+    canvas.width = take.width;
+    canvas.height = take.height;
     canvas.getContext("2d").drawImage(frame, 0, 0);
     save(await pngOf(canvas), name);
   }

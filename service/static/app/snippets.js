@@ -39,7 +39,9 @@ function curlOfFiles({ models, request, base, final }) {
   const frames = FILES.map((file) => `-F frames=@${file}`).join(" ");
   return models
     .map((model, index) => {
-      const fields = Object.entries({ model, ...request }).map(([name, value]) => `-F ${name}=${value}`);
+      const fields = Object.entries({ model, ...request }).map(([name, value]) =>
+        typeof value === "object" ? `-F '${name}=${JSON.stringify(value)}'` : `-F ${name}=${value}`,
+      );
       if (final !== null) fields.push("-F final_frame=@final.png");
       return (
         `curl -sS ${base}/predict \\\n  ${frames} \\\n  ${fields.join(" ")} ` +
@@ -69,8 +71,14 @@ function pythonOfFiles(calls) {
   return python(calls, `    frames = [${files}]\n`, `frames${final}`);
 }
 
+/** A value of a request in Python; points are pairs. */
+function literal(value) {
+  if (!Array.isArray(value)) return JSON.stringify(value);
+  return `[${value.map(({ x, y }) => `(${x}, ${y})`).join(", ")}]`;
+}
+
 function python({ models, request, base }, before, frames) {
-  const fields = Object.entries(request).map(([name, value]) => `, ${name}=${JSON.stringify(value)}`);
+  const fields = Object.entries(request).map(([name, value]) => `, ${name}=${literal(value)}`);
   const call = (model) => `client.predict(${frames}, model=${model}${fields.join("")})`;
   const names = JSON.stringify(models).replace(/,/g, ", ");
   const ask =

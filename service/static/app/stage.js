@@ -1,15 +1,17 @@
 /** The pictures: one for all forecasts, or one beside the other for each of them. */
 
 import { byId, make } from "./dom.js";
-import { drawMoment } from "./draw.js";
-import { LAST_SEEN } from "./state.js";
+import { drawMoment, drawSeen } from "./draw.js";
+import { LAST_SEEN, pointsOf } from "./state.js";
 
 /** What one panel of the stage shows at a moment; downloads are drawn from the same. */
 export function panelsOf(take, forecasts, choices, index) {
   const common = {
     frame: take.frames[index] ?? null,
     lastFrame: take.frames.findLast((frame) => frame) ?? null,
-    frameSize: take.frameSize,
+    width: take.width,
+    height: take.height,
+    points: pointsOf(choices),
     index,
     truth: choices.truth ? take.truth : null,
     ellipses: choices.ellipses,
@@ -46,14 +48,14 @@ export class Stage {
     }
   }
 
-  /** Put the frames that the models see under the stage. */
-  showSeen(take, finalIndex) {
+  /** Put the frames that the models see under the stage, with rings where they saw balls. */
+  showSeen(take, finalIndex, forecasts = []) {
     const indices = [0, 1, 2, 3, ...(finalIndex === null ? [] : [finalIndex])];
     this._strip.replaceChildren(
       ...indices.map((index) => {
         const canvas = make("canvas", { width: 144, height: 144, "aria-hidden": "true" });
         const frame = take.frames[index];
-        if (frame) canvas.getContext("2d").drawImage(frame, 0, 0, 144, 144);
+        if (frame) drawThumbnail(canvas, take, index, forecasts);
         const step = index - LAST_SEEN;
         const caption = step > 0 ? `t = ${step}, final` : `t = ${String(step).replace("-", "−")}`;
         return make("li", {}, canvas, make("span", {}, caption));
@@ -77,6 +79,15 @@ export class Stage {
     this._panels.dataset.count = String(count);
     return [...this._panels.children];
   }
+}
+
+function drawThumbnail(canvas, { width, height, frames }, index, forecasts) {
+  const context = canvas.getContext("2d");
+  const scale = canvas.width / Math.max(width, height);
+  context.translate((canvas.width - width * scale) / 2, (canvas.height - height * scale) / 2);
+  context.drawImage(frames[index], 0, 0, width * scale, height * scale);
+  if (index > LAST_SEEN) return;
+  for (const forecast of forecasts) drawSeen({ context, scale, unit: 0.7 }, forecast, index);
 }
 
 /** Give a canvas as many pixels as the screen has there. */

@@ -4,7 +4,8 @@
  * @typedef {object} Choices
  * @property {"scene" | "footage"} source
  * @property {"hemisphere" | "ellipsoid" | "heightfield"} scenario
- * @property {number} balls
+ * @property {number} balls 0 leaves the number to the model, of footage
+ * @property {string} points of the last seen frame that select balls: "x,y;x,y", pixels
  * @property {string} seed as it was typed
  * @property {string[]} models one to three, "auto" or names
  * @property {number} horizon steps
@@ -17,6 +18,8 @@
 
 export const MOST_MODELS = 3;
 export const SEEN = 4;
+/** Largest number of balls that a model follows. */
+export const MOST_BALLS = 8;
 /** Frames that the models see; frame i shows step i - 3. */
 export const LAST_SEEN = SEEN - 1;
 
@@ -25,6 +28,7 @@ const DEFAULTS = {
   source: "scene",
   scenario: "ellipsoid",
   balls: 1,
+  points: "",
   seed: "7",
   models: ["auto"],
   horizon: 40,
@@ -36,7 +40,7 @@ const DEFAULTS = {
 };
 
 /** Those that make sense in somebody else's browser; footage stays where it is. */
-const SHARED = ["scenario", "balls", "seed", "models", "horizon", "finalFrame", "layout"];
+const SHARED = ["scenario", "balls", "points", "seed", "models", "horizon", "finalFrame", "layout"];
 
 /**
  * A value whose changes are told to those who asked for it.
@@ -73,7 +77,22 @@ export function choicesFrom(fragment) {
     choices.scenario = DEFAULTS.scenario;
   }
   choices.balls = Math.min(Math.max(Math.round(choices.balls) || 1, 1), 4);
+  choices.points = textOf(pointsOf(choices));
   return choices;
+}
+
+/** Points that select balls, [x, y] in pixels. */
+export function pointsOf({ points }) {
+  return points
+    .split(";")
+    .map((pair) => pair.split(",").map(Number))
+    .filter((pair) => pair.length === 2 && pair.every(Number.isFinite))
+    .slice(0, MOST_BALLS);
+}
+
+/** Points as text of the address. */
+export function textOf(points) {
+  return points.map((pair) => pair.map((value) => Number(value.toFixed(1))).join(",")).join(";");
 }
 
 /** The fragment that brings back these choices. */

@@ -51,7 +51,7 @@ export class Surface3d {
 
   /** Whether paths have grown; while they do so step by step, not for every one of them. */
   _isDue(take, forecasts) {
-    const shown = `${take.key} ${forecasts.map(({ name, times }) => name + times.length)}`;
+    const shown = `${take.key} ${take.frames.length} ${forecasts.map(({ name, times }) => name + times.length)}`;
     const isGrowing = forecasts.some(({ state }) => state === "streaming");
     const now = performance.now();
     if (shown === this._shown || (isGrowing && now - this._shownAt < REBUILD_MS)) return false;

@@ -74,3 +74,39 @@ def test_nothing_is_named_that_lies_elsewhere():
     for path in STATIC.rglob("*"):
         if path.suffix in {".js", ".css", ".html"} and "vendor" not in path.parts:
             assert "://" not in path.read_text(), path
+
+
+def test_texts_are_compressed_for_those_who_take_that(client):
+    for path in ("/", "/static/app/main.js", "/static/vendor/three/three.core.min.js"):
+        plain = client.get(path, headers={"Accept-Encoding": "identity"})
+        small = client.get(path, headers={"Accept-Encoding": "gzip"})
+        assert "content-encoding" not in plain.headers
+        assert small.headers["content-encoding"] == "gzip"
+        assert small.content == plain.content
+        assert int(small.headers["content-length"]) < 0.5 * len(plain.content)
+        for answer in (plain, small):
+            assert "Accept-Encoding" in answer.headers["vary"]
+            assert answer.headers["cache-control"] == "no-cache"
+        assert small.headers["content-type"] == plain.headers["content-type"]
+
+
+def test_a_compressed_file_that_has_not_changed_is_not_sent_again(client):
+    compressed = {"Accept-Encoding": "gzip"}
+    first = client.get("/static/app/main.js", headers=compressed)
+    known = compressed | {"If-None-Match": first.headers["etag"]}
+    again = client.get("/static/app/main.js", headers=known)
+    assert (again.status_code, again.content) == (304, b"")
+
+
+def test_a_three_dimensional_library_is_not_loaded_with_the_page():
+    needed, unread = set(), ["app/main.js"]
+    while unread:
+        script = unread.pop()
+        needed.add(script)
+        text = (STATIC / script).read_text()
+        for name in re.findall(r'^import\b.*? from "([^"]+)"', text, re.MULTILINE | re.DOTALL):
+            path = ((STATIC / script).parent / name).resolve().relative_to(STATIC).as_posix()
+            if path not in needed:
+                unread.append(path)
+    assert "app/session.js" in needed
+    assert not [script for script in needed if "three" in script]

@@ -180,3 +180,27 @@ def test_auto_sends_rectangles_to_the_model_that_reads_them(client):
     told = ask(client, seen, (240, 320), horizon=2)
     assert told["model"]["name"] == "dots"
     assert told["frame_size"] == [320, 240]
+
+
+def test_auto_takes_scenarios_that_no_other_model_knows(start):
+    bowls = served(name="pair", objects=2, scenarios=["ellipsoid"])
+    made = start(lambda *_: Registry([served(), bowls, served_balls()]))
+    images = files(dots(paths((40, 50), (90, 30)), 128, 128))
+    for scenario, name in (("ellipsoid", "pair"), ("hemisphere", "dots")):
+        response = made.post("/predict", json=body(images, objects=2, scenario=scenario))
+        assert response.status_code == 200, response.text
+        assert response.json()["model"]["name"] == name
+
+
+def test_prompts_without_a_model_for_any_number_are_refused(start):
+    alone = start(lambda *_: Registry([served()]))
+    images = files(dots(paths((40, 50)), 128, 128))
+    response = alone.post("/predict", json=body(images, balls=prompt((40, 50))))
+    assert response.status_code == 422, response.text
+    assert response.json()["field"] == "model"
+
+
+def test_models_tell_how_many_balls_they_follow(client):
+    entries = {entry["name"]: entry for entry in client.get("/models").json()["models"]}
+    assert entries["dots"]["max_objects"] == 8
+    assert entries["dot"]["max_objects"] is None
