@@ -315,10 +315,12 @@ Usage: rollcast predict [OPTIONS] {VIDEO|FOLDER|IMAGES}...
   Forecast balls in a video or in images.
 
   Reads four frames, requests a forecast from a running service, prints the path and, with --out,
-  draws it over the footage.
+  draws it over the footage. With --ball, or a model for any number of balls, whole pictures are
+  sent, and rings show where the balls were seen.
 
   Examples:
     rollcast predict clip.mp4 --start 2.0 --crop 100,0,480 --out overlay.png
+    rollcast predict clip.mp4 --ball 412,230 --ball 105,88 --out rings.png
     rollcast predict clip.mp4 --every 3 --out overlay.mp4 --slower 4
     rollcast predict frames/ --rate 120 --every 3 --format csv > forecast.csv
     rollcast predict clip.mp4 --final 39 --out between.png
@@ -337,14 +339,19 @@ Options:
                                   elementary streams, which do not state it, and slow motion,
                                   which is stored at a lower rate
   --crop X,Y,SIZE                 square crop given to the model: left column, top row, side, in
-                                  pixels (default: the largest in the centre); the bowl or plane
-                                  should just fill it
+                                  pixels (default: the largest in the centre, the whole picture
+                                  with --ball or a model for any number of balls); for other
+                                  models the bowl or plane should just fill it
   --final STEP                    give the model the frame of this step too, to interpolate the
                                   path: 39 with one ball, 29 with two or three
   --horizon STEPS                 number of steps to forecast, at the frame rate (default:
                                   {DEFAULT_HORIZON}; with --final up to that frame)
   --model NAME                    auto, NAME or NAME@VERSION  [default: auto]
-  --objects BALLS                 number of balls (default: the model's, 1 with auto)
+  --objects BALLS                 number of balls (default: the model's, 1 with auto; models for
+                                  any number follow those that move)
+  --ball X,Y[,RADIUS]             selects a ball by a point in the last of the four frames, in
+                                  pixels of the uncropped picture; repeat for several balls, in
+                                  the order of the answer
   --scenario <hemisphere|ellipsoid|heightfield|table|footage>
                                   restrict auto to models for this scenario
   --url ADDRESS                   address of the service (default: ROLLCAST_URL, else

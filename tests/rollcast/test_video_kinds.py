@@ -151,7 +151,7 @@ def test_a_size_that_changes_is_told(tmp_path):
     joined = tmp_path / "clip.h264"
     joined.write_bytes(b"".join(part.read_bytes() for part in parts))
     clip = open_clip(joined, rate=40)
-    with pytest.raises(FootageError, match=r"changes from 128 x 128 to 96 x 96 at 0\.200 s; cut"):
+    with pytest.raises(FootageError, match=r"changes from 128 x 128 to 96 x 96 at 0\.200 s; split"):
         read_evenly(clip, frames=9)
     assert read_evenly(clip).frames.shape == (4, 128, 128, 3)
 
@@ -216,7 +216,7 @@ def test_colours_are_those_of_the_files_tag(tmp_path, tag, space):
 def test_pipes_devices_and_empty_files_are_refused_at_once(tmp_path):
     pipe = tmp_path / "clip.mp4"
     os.mkfifo(pipe)
-    with pytest.raises(FootageError, match=r"is a pipe.*write it to a file first"):
+    with pytest.raises(FootageError, match=r"is a pipe.*write it to a regular file first"):
         open_clip(pipe)
     with pytest.raises(FootageError, match="is a device"):
         read_frames("/dev/zero")
@@ -297,7 +297,7 @@ def test_numbers_that_count_no_images_leave_no_gaps(tmp_path, names):
 def test_images_named_out_of_order_are_told(tmp_path):
     folder = save(tmp_path / "a", ["frame1.png", "frame10.png", "frame2.png", "frame3.png"])
     clip = open_clip(sorted(folder.iterdir()))
-    assert "not that of their numbers" in clip.warnings[0]
+    assert "not the order of their numbers" in clip.warnings[0]
 
 
 def test_only_the_images_that_are_needed_are_read(tmp_path):

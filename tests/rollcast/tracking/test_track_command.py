@@ -58,7 +58,7 @@ def test_images_are_tracked_at_the_rate_that_is_named(tmp_path, capsys):
         made.picture(index).save(folder / f"{index}.png")
     arguments = ["track", str(folder), "--balls", "2", "--out", str(tmp_path)]
     assert main(arguments) == 1
-    assert "name their --rate" in capsys.readouterr().err
+    assert "pass their --rate" in capsys.readouterr().err
     assert main([*arguments, "--rate", "30"]) == 0
     assert r"clip\xff: 60 frames, 2.0 s" in capsys.readouterr().out
     tracks = Tracks.read(tmp_path / os.fsdecode(b"clip\xff.parquet"))
@@ -69,7 +69,7 @@ def test_images_are_tracked_at_the_rate_that_is_named(tmp_path, capsys):
     ("arguments", "code", "reason"),
     [
         (["missing.mp4"], 1, "missing.mp4 cannot be read: No such file or directory"),
-        (["here/a.mp4", "here/a.mov"], 1, "two clips are called a; name them apart"),
+        (["here/a.mp4", "here/a.mov"], 1, "two clips are called a; rename one of them"),
         (["a.mp4", "--balls", "5"], 2, "5 is not a whole number from 1 to 4"),
         (["a.mp4", "--crop", "1,2"], 2, "1,2 is not X,Y,SIZE"),
     ],

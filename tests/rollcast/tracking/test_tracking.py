@@ -168,7 +168,7 @@ def test_a_camera_that_moves_is_told(tmp_path):
         (np.asarray(made.picture(i)) // 2 + np.roll(checks, 3 * i, axis=1)) for i in range(60)
     ]
     write_film(tmp_path / "pan.mp4", map(Image.fromarray, pictures), FRAME_RATE)
-    with pytest.raises(FootageError, match="a camera that stands still"):
+    with pytest.raises(FootageError, match="needs a fixed camera"):
         track(tmp_path / "pan.mp4")
 
 
