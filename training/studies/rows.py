@@ -26,8 +26,9 @@ million sequences. Rows named "compact-" have the paper's heads and supervision,
 rows of one table with the same supervision share the encoder, the state and the angular velocity,
 so that their errors of the angular velocity are one figure. Rows with a version ("posnet@1") are
 the committed models, which were trained with more supervision than the paper's. Balls have a radius
-of 0.225 m, one of the paper's two. The page [what we reproduced](../reproduced.md#what-differs)
-lists what else differs from the paper."""
+of 0.225 m, one of the paper's two. The page
+[what we reproduced](../reproduced.md#differences-from-the-paper) lists what else differs from the
+paper."""
 """Caption shared by the tables of methods."""
 IMPACTS = """Two balls that collide separate with 0.7 of their speed of approach; the paper's, of
 restitution 0.7 each, with 0.49."""
