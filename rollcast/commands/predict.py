@@ -92,8 +92,8 @@ def predict(
         typer.Option(
             parser=whole_number(1, MAX_BALLS),
             metavar="BALLS",
-            help="number of balls (default: the model's, 1 with auto; models for any number "
-            "follow those that move)",
+            help="number of balls (default: the model's, 1 with auto; models for any number of "
+            "balls forecast the moving ones)",
         ),
     ] = None,
     ball: Balls = None,
