@@ -348,7 +348,7 @@ Options:
                                   {DEFAULT_HORIZON}; with --final up to that frame)
   --model NAME                    auto, NAME or NAME@VERSION  [default: auto]
   --objects BALLS                 number of balls (default: the model's, 1 with auto; models for
-                                  any number follow those that move)
+                                  any number of balls forecast the moving ones)
   --ball X,Y[,RADIUS]             selects a ball by a point in the last of the four frames, in
                                   pixels of the uncropped picture; repeat for several balls, in
                                   the order of the answer
