@@ -8,6 +8,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, JsonValue, model_validator
 
 from rollcast.camera import NETWORK_FRAME_SIZE
@@ -268,6 +269,25 @@ class Manifest(_Part):
     def follows(self, objects: int) -> bool:
         """Tell whether it forecasts so many balls."""
         return self.objects <= objects <= (self.max_objects or self.objects)
+
+    def error_at(self, horizon: int) -> float:
+        """Return the mean position error in px, validation split, at a horizon.
+
+        Between measured horizons it is interpolated, beyond the last one it is that one's.
+        """
+        scenarios = {row.scenario for row in self.metrics if row.split == "validation"}
+        if not scenarios:
+            return self.validation_error_px
+        errors: list[float] = []
+        for scenario in scenarios:
+            rows = sorted(
+                (row.horizon, row.position_error_px)
+                for row in self.metrics
+                if (row.split, row.scenario) == ("validation", scenario)
+            )
+            known, measured = zip(*rows, strict=True)
+            errors.append(float(np.interp(horizon, known, measured)))
+        return sum(errors) / len(errors)
 
     @property
     def simulated(self) -> tuple[Scenario, ...]:

@@ -108,7 +108,13 @@ class _Forecast:
         opened = _open(request, self._token.raise_if_cancelled)
         square = request.model != AUTO_MODEL or opened.is_square
         query = ModelQuery(
-            request.model, objects, request.scenario, final_frame, prompted, square=square
+            request.model,
+            objects,
+            request.scenario,
+            final_frame,
+            prompted,
+            square=square,
+            horizon=request.horizon or DEFAULT_HORIZON,
         )
         predictor = self._registry.choose(query)
         self.manifest = predictor.manifest

@@ -6,7 +6,7 @@ from typing import Literal
 
 from rollcast.manifest import Manifest
 from rollcast.scene import Domain
-from rollcast.schemas import AUTO_MODEL
+from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON
 from service.errors import (
     InvalidValueError,
     ModelUnavailableError,
@@ -61,6 +61,7 @@ class ModelQuery:
     """Whether points say which balls are meant; ``objects`` is their number."""
     square: bool = True
     """Whether the frames are squares, as models for a fixed number of balls need them."""
+    horizon: int = DEFAULT_HORIZON
 
 
 class Registry:
@@ -167,7 +168,7 @@ class Registry:
         return predictor
 
     def _choose_best(self, query: ModelQuery) -> Predictor:
-        """Apply the rule for "auto" (decision 0106) to the default versions.
+        """Apply the rule for "auto" (decisions 0106 and 0143) to the default versions.
 
         A model for footage knows one set-up alone, so it is chosen where footage is asked for, or
         where nothing else forecasts so many balls (decision 0129).
@@ -181,7 +182,7 @@ class Registry:
         only_any = query.prompted or (of_any_number and not query.square)
         for peers in [of_any_number] if only_any else [made_for_it, of_any_number]:
             if suitable := _suitable(peers, query):
-                return min(suitable, key=lambda predictor: predictor.manifest.validation_error_px)
+                return min(suitable, key=lambda p: p.manifest.error_at(query.horizon))
         kind = "reads a final frame" if query.final_frame else "predicts a covariance"
         raise NoSuitableModelError.at(
             "model",

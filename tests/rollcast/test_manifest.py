@@ -219,3 +219,19 @@ def test_a_manifest_cannot_be_changed_and_is_indented_by_two(tmp_path):
     lines = (tmp_path / MANIFEST_FILE).read_text().splitlines()
     assert lines[1] == '  "format_version": 1,'
     assert '    "hemisphere"' in lines
+
+
+def test_the_error_at_a_horizon_is_interpolated_and_held_beyond_the_last():
+    rows = [
+        {"split": split, "scenario": scenario, "horizon": horizon, "sequences": 5,
+         "position_error_px": error}
+        for split, scenario, horizon, error in [
+            ("validation", "hemisphere", 10, 1.0), ("validation", "hemisphere", 20, 3.0),
+            ("validation", "ellipsoid", 10, 2.0), ("validation", "ellipsoid", 20, 8.0),
+            ("test", "hemisphere", 10, 50.0),
+        ]
+    ]  # fmt: skip
+    manifest = Manifest.model_validate(FIELDS | {"metrics": rows})
+    assert [manifest.error_at(t) for t in (1, 10, 15, 20, 40)] == [1.5, 1.5, 3.5, 5.5, 5.5]
+    without = Manifest.model_validate(FIELDS | {"metrics": []})
+    assert without.error_at(20) == without.validation_error_px

@@ -2,7 +2,8 @@
 
 import pytest
 
-from tests.service.samples import body, moving_dot, parts
+from service.serving.registry import Model, Registry
+from tests.service.samples import body, moving_dot, parts, served
 
 
 def answered_by(client, **fields):
@@ -102,3 +103,25 @@ def test_the_horizon_and_step_that_a_final_frame_fixes_may_be_said(client):
     files = [*parts(images[:4]), ("final_frame", ("f.png", images[4]))]
     fields = {"horizon": "10", "final_step": "9"}
     assert client.post("/predict", files=files, data=fields).status_code == 200
+
+
+def test_auto_compares_errors_at_the_horizon_of_the_request(start):
+    def described(name: str, *errors: tuple[int, float]) -> Model:
+        rows = [
+            {
+                "split": "validation", "scenario": "hemisphere", "horizon": horizon,
+                "sequences": 9, "position_error_px": error,
+            }
+            for horizon, error in errors
+        ]  # fmt: skip
+        return served(name=name, metrics=rows, validation_error_px=errors[0][1])
+
+    models = [described("near", (10, 1.0), (40, 9.0)), described("far", (10, 2.0), (40, 3.0))]
+    client = start(lambda *_: Registry(models))
+    chosen = {
+        horizon: client.post("/predict", json=body(horizon=horizon)).json()["model"]["name"]
+        for horizon in (5, 10, 30, 60)
+    }
+    assert chosen == {5: "near", 10: "near", 30: "far", 60: "far"}
+    without = client.post("/predict", json=body()).json()
+    assert without["model"]["name"] == "far"
