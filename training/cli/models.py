@@ -6,7 +6,10 @@ from typing import Annotated, Literal
 
 import typer
 
+from rollcast.client import Client
 from rollcast.manifest import MANIFEST_FILE, Manifest
+from rollcast.scene import Scenario
+from rollcast.schemas import AUTO_MODEL
 from training.cli import footage
 from training.cli.options import (
     CORES,
@@ -25,6 +28,8 @@ from training.common.settings import runs_folder
 from training.data.shards import Source
 from training.evaluation.error_breakdown import dissected, dissection_table
 from training.evaluation.evaluate import evaluation_sets, markdown_table, metric_rows, run
+from training.evaluation.perturbations import measure as measure_perturbations
+from training.evaluation.perturbations import results_table
 from training.evaluation.real_clips import balls_look, eye_look
 from training.evaluation.real_clips import table as real_clips_table
 from training.export.any_ball import BallGraphs
@@ -52,6 +57,16 @@ between the last two frames; its error is given as median / mean over all window
 
 {table}
 """
+PERTURBATIONS_PAGE = """# Perturbed frames
+
+Written by `python -m training perturbations URL --page`, for the model `{model}` of a running
+service. Each row shows the mean error at T=20, in pixels of 128 x 128 frames, on {scenes} test
+scenes per scenario whose frames were perturbed. The ratio is the error relative to the unperturbed
+one, averaged over the scenarios.
+
+{table}
+"""
+BOWLS_AND_HEIGHTFIELDS: tuple[Scenario, ...] = ("hemisphere", "ellipsoid", "heightfield")
 Version = Annotated[int, typer.Option(min=1)]
 
 
@@ -60,6 +75,7 @@ def add_to(app: typer.Typer) -> None:
     app.command("evaluate")(evaluate)
     app.command("error-breakdown")(error_breakdown)
     app.command("real-clips")(real_clips)
+    app.command("perturbations")(perturbations)
     app.command("export")(export)
     app.command("quantise")(quantise)
     app.command("fit-ood")(fit_ood)
@@ -85,6 +101,27 @@ def real_clips(
         text = REAL_CLIPS_PAGE.format(label=label, table="\n".join(lines))
         (DOCS / "results" / "real-clips.md").write_text(text, encoding="utf-8")
     show(lines)
+
+
+def perturbations(
+    url: Annotated[str, typer.Argument(help="address of a running service")],
+    model: Annotated[str, typer.Option(help="auto, NAME or NAME@VERSION")] = AUTO_MODEL,
+    scenes: Annotated[int, typer.Option(min=1, help="test scenes per scenario")] = 14,
+    workers: Workers = CORES,
+    page: Annotated[
+        bool, typer.Option("--page", help="write the table into docs/results/perturbations.md")
+    ] = False,
+) -> None:
+    """Measure a running service on perturbed frames of simulated scenes."""
+    sets = evaluation_sets(BOWLS_AND_HEIGHTFIELDS, 1, None, "test", scenes, workers)
+    with Client(url) as service:
+        measured = list(measure_perturbations(service, sets, model))
+    text = results_table(measured)
+    if page:
+        (DOCS / "results" / "perturbations.md").write_text(
+            PERTURBATIONS_PAGE.format(model=model, scenes=scenes, table=text), encoding="utf-8"
+        )
+    typer.echo(text)
 
 
 def _loaded(model: Path) -> tuple[Manifest, Network]:
