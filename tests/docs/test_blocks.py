@@ -56,7 +56,7 @@ def test_what_cannot_run_is_well_formed(block):
         compile(block.text, str(block), "exec")
         return
     subprocess.run(["bash", "-n"], input=block.text, text=True, check=True)
-    for line in block.text.splitlines():
+    for line in block.text.replace("\\\n", " ").splitlines():
         words = shlex.split(line, comments=True)
         if words[:3] == ["python", "-m", "training"]:
             is_understood(words[3:])

@@ -120,7 +120,7 @@ def test_a_network_is_not_served_without_keys_unless_told_so(tmp_path):
     refused = said("--host", "0.0.0.0")
     _, line = refused.communicate(timeout=60)
     assert refused.returncode == 1
-    assert line.startswith("rollcast: will not listen on 0.0.0.0 without API keys")
+    assert line.startswith("rollcast: refuses to listen on 0.0.0.0 without API keys")
     assert "ROLLCAST_KEYS_FILE=" in line
     assert "ROLLCAST_ALLOW_UNAUTHENTICATED=true" in line
     for settings in ({"ROLLCAST_KEYS_FILE": str(file)}, {"ROLLCAST_ALLOW_UNAUTHENTICATED": "true"}):

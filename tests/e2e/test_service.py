@@ -54,7 +54,7 @@ def test_frames_may_be_cropped(client):
     scene = client.simulate("hemisphere", seed=11, steps=4)
     wide = np.pad(scene.frames, ((0, 0), (0, 0), (32, 32), (0, 0)))
     with pytest.raises(BadRequestError) as caught:
-        client.predict(wide)
+        client.predict(wide, model="fieldnet")
     assert caught.value.problem.value == "192 x 128"
     cropped = client.predict(wide, crop="square")
     np.testing.assert_array_equal(cropped.positions, client.predict(scene.frames).positions)

@@ -214,7 +214,7 @@ def test_a_service_without_room_for_its_workers_says_so():
     with Service(2, wait=False, prefix=own_disks("64k", "64k")) as service:
         service.popen.communicate(timeout=60)
         assert service.popen.returncode == 1
-        assert "no room for the files that worker processes share" in service.log()
+        assert "no room for the shared files of the worker processes" in service.log()
 
 
 def own_disks(shared_memory: str, temporary: str) -> list[str]:

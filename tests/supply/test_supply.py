@@ -21,6 +21,9 @@ FILES = "https://files.pythonhosted.org/packages/"
 UV = ROOT / ".venv/uv/bin/uv"
 MOST_ENVIRONMENTS = 6
 PICKLES = {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}
+RESTRICTED = ("training/networks/imagenet.py",)
+"""Modules whose unpickler finds nothing but the constructors of arrays
+(tests/training/networks/test_vgg.py)."""
 SHIPPED = ("rollcast", "service", "training")
 LICENCES = re.compile(
     r"(Apache|MIT|BSD|ISC|Python|PSF|Mozilla Public License 2.0|MPL-2.0|HPND|Historical Permission"
@@ -143,6 +146,8 @@ def test_no_pickle_is_loaded():
     assert loads
     for folder in SHIPPED:
         for path in (ROOT / folder).rglob("*.py"):
+            if str(path.relative_to(ROOT)) in RESTRICTED:
+                continue
             for node in ast.walk(ast.parse(path.read_text())):
                 if isinstance(node, ast.Import):
                     names = {alias.name for alias in node.names}

@@ -108,7 +108,7 @@ def test_one_process_is_alone():
 
 
 def test_a_batch_that_cannot_be_shared_is_refused():
-    with pytest.raises(ValueError, match="5 windows of a batch cannot be shared by 2"):
+    with pytest.raises(ValueError, match="5 windows of a batch cannot be divided among 2"):
         Share(0, 2).of(5)
 
 

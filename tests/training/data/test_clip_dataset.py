@@ -137,10 +137,10 @@ def test_a_rig_is_trained_on_its_clips(folder, tmp_path):
 @pytest.mark.parametrize(
     ("recipe", "named", "balls", "reason"),
     [
-        ("setup-2-balls", False, None, "name their folder with --data"),
+        ("setup-2-balls", False, None, "pass their folder with --data"),
         ("field-one-ball", True, None, "--data is for the recipes setup-"),
         ("setup-3-balls", True, None, "setup-3-balls forecasts 3 of the clips' balls 0 to 1"),
-        ("setup-one-ball", True, [2], "--balls names 2"),
+        ("setup-one-ball", True, [2], "--balls selects 2"),
     ],
 )
 def test_recipes_clips_and_balls_have_to_fit(folder, recipe, named, balls, reason):
