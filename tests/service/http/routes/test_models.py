@@ -14,6 +14,7 @@ def test_every_version_is_listed_with_its_status(client):
         "frame_rate_hz": 40.0,
         "setup": None,
         "frames": 4,
+        "max_objects": None,
         "final_step": None,
         "trained_horizon": 20,
         "covariance_source": "predicted",
