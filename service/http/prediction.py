@@ -145,6 +145,7 @@ class _Forecast:
                 self._doubts.append(replaced(predictor.manifest, other.manifest))
                 self.manifest = other.manifest
                 if isinstance(other, BallPredictor):
+                    # Decoded again at their own size: only unfamiliar frames need it.
                     whole = _open(self.request, self._token.raise_if_cancelled)
                     return self._found(other, whole.decode_whole(), objects)
                 predictor = other
@@ -187,8 +188,8 @@ class _Forecast:
         if index == 0:
             self._stages.next()
 
-    def forecasts(self, outputs: Outputs, first_step: int) -> tuple[Forecast, Forecast | None]:
-        """Turn stacked outputs into a forecast in the units of the user's frames.
+    def motions(self, outputs: Outputs, first_step: int) -> tuple[Forecast, Forecast | None]:
+        """Turn stacked outputs into a forecast in pixels of 128.
 
         Returns
         -------
@@ -201,25 +202,26 @@ class _Forecast:
             self._floor = CovarianceFloor(len(calibrated) or self.manifest.trained_horizon)
         network = self._floor.apply(assemble(outputs, covariance, first_step), first_step)
         if self._balls is None:
-            return self._in_frame(network, first_step), None
+            return network, None
         kinematic = self._balls.kinematic(network, first_step)
         by_kinematics = np.array([ball.motion == "kinematic" for ball in self._details])
-        chosen = network.mixed(kinematic, by_kinematics)
-        other = kinematic.mixed(network, by_kinematics)
-        return self._in_frame(chosen, first_step), self._in_frame(other)
+        return network.mixed(kinematic, by_kinematics), kinematic.mixed(network, by_kinematics)
 
-    def _in_frame(self, made: Forecast, first_step: int | None = None) -> Forecast:
-        """Return a forecast in pixels of the frames; note where balls leave them from a step on."""
-        scaled = made.within_frame().rescaled(
+    def in_frame(self, made: Forecast) -> Forecast:
+        """Return a forecast in the units of the user's frames."""
+        return made.within_frame().rescaled(
             max(self._size) / NETWORK_FRAME_SIZE,
             self._rate / self.manifest.frame_rate_hz,
             (0.0, 0.0) if self._balls is None else self._balls.origin,
         )
-        if first_step is not None:
-            places = scaled.positions[0]
-            outside = np.any((places < 0) | (places > np.array(self._size)), axis=-1)
-            for ball in np.flatnonzero(outside.any(axis=-1)).tolist():
-                self._left.setdefault(ball, first_step + int(outside[ball].argmax()))
+
+    def answered(self, made: Forecast, first_step: int) -> Forecast:
+        """Return the forecast of the answer, noting where balls leave the frame."""
+        scaled = self.in_frame(made)
+        places = scaled.positions[0]
+        outside = np.any((places < 0) | (places > np.array(self._size)), axis=-1)
+        for ball in np.flatnonzero(outside.any(axis=-1)).tolist():
+            self._left.setdefault(ball, first_step + int(outside[ball].argmax()))
         return scaled
 
     @property
@@ -273,7 +275,9 @@ class WholeForecast(_Forecast):
         service.errors.DivergedError
             When a number is not finite.
         """
-        forecast, other = self.forecasts(stacked(self._steps), first_step=0)
+        made, other = self.motions(stacked(self._steps), first_step=0)
+        forecast = self.answered(made, first_step=0)
+        other = None if other is None else self.in_frame(other)
         response = PredictResponse(
             **dict(self.summary(forecast.final_positions)),
             objects=_objects(forecast, self.balls, other),
@@ -313,7 +317,8 @@ class StreamedForecast(_Forecast):
             When a number is not finite.
         """
         super().step(index, outputs)
-        forecast, _ = self.forecasts(stacked([outputs]), first_step=index)
+        made, _ = self.motions(stacked([outputs]), first_step=index)
+        forecast = self.answered(made, first_step=index)
         if index == 0:
             self._final = forecast.final_positions
         self._emit(
