@@ -72,6 +72,7 @@ def train_balls(
         training,
         runs_folder() / RUN,
         stream,
+        {part.source.name: part.scenes for part in ANY_BALL_DATA},
         partial(validation_errors, windows=windows),
     )
     try:
@@ -125,7 +126,7 @@ def export(
         network,
         best["sequences"],
         HORIZON,
-        {part.source.name: part.scenes for part in ANY_BALL_DATA},
+        best["scenes"],
         training.seed,
     )
     target = models / name / str(version)

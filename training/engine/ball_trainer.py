@@ -62,6 +62,8 @@ class BallTrainer(TrainingLoop[BallBatch]):
     ----------
     stream
         Makes the batches from a number on; batch k is always the same.
+    scenes
+        Training scenes by kind, for the card of the model.
     validate
         Returns the error in px that decides which weights are the best, and what else is plotted.
     """
@@ -72,6 +74,7 @@ class BallTrainer(TrainingLoop[BallBatch]):
         training: BallTraining,
         folder: Path,
         stream: Callable[[int], IterableDataset[BallBatch]],
+        scenes: Mapping[str, int],
         validate: Callable[[AnyBallNet], tuple[float, Mapping[str, float]]],
         config: TrainerConfig | None = None,
     ) -> None:
@@ -79,6 +82,7 @@ class BallTrainer(TrainingLoop[BallBatch]):
         self.network = network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self.training = training
         self._make_stream = stream
+        self._scenes = dict(scenes)
         self._validate = validate
         rate = training.learning_rate
         groups: dict[float, list[torch.nn.Parameter]] = {rate: [], rate * training.fresh_rate: []}
@@ -120,7 +124,11 @@ class BallTrainer(TrainingLoop[BallBatch]):
         return self._validate(averaged)
 
     def _best_weights(self) -> dict[str, Any]:
-        return {"weights": self.averaged().state_dict(), "sequences": self.sequences}
+        return {
+            "weights": self.averaged().state_dict(),
+            "sequences": self.sequences,
+            "scenes": self._scenes,
+        }
 
     def losses(self, batch: BallBatch) -> dict[str, Tensor]:
         """Return the parts of the loss of a batch by name."""
