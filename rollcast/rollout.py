@@ -3,7 +3,7 @@
 Axes: B requests, N balls, T steps, K frames.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -52,10 +52,16 @@ def roll_out(
     network: RecurrentNetwork, frames: UInt8[np.ndarray, "B K 128 128 3"], horizon: int
 ) -> dict[OutputName, Float32[np.ndarray, "B N T ..."]]:
     """Forecast the steps 0..horizon-1 of frames, without other requests."""
-    step = network.encode(frames)
+    return roll_on(network.advance, network.encode(frames), horizon)
+
+
+def roll_on(
+    advance: Callable[[Arrays], Step], step: Step, horizon: int
+) -> dict[OutputName, Float32[np.ndarray, "B N T ..."]]:
+    """Forecast the steps 0..horizon-1, of which ``step`` is the first."""
     steps = [step.outputs]
     for _ in range(1, horizon):
-        step = network.advance(step.state)
+        step = advance(step.state)
         steps.append(step.outputs)
     return stacked(steps)
 

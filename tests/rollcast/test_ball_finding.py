@@ -4,9 +4,8 @@ import numpy as np
 
 from rollcast.ball_finding import find_balls, votes_at
 from rollcast.patches import Letterbox
-
-CELLS = 32
-RADIUS = 4 / 64
+from tests.rollcast import dot_balls
+from tests.rollcast.dot_balls import CELLS, detect
 
 
 def frames_of(paths: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -20,42 +19,9 @@ def frames_of(paths: np.ndarray, height: int, width: int) -> np.ndarray:
     return np.repeat((255 * np.clip(frames, 0, 1)).astype(np.uint8)[..., None], 3, axis=-1)
 
 
-def detect(frames: np.ndarray) -> dict[str, np.ndarray]:
-    """Every cell says where it lies itself and how bright it is."""
-    cells = frames[0, -1, ..., 0].reshape(CELLS, 4, CELLS, 4).mean(axis=(1, 3)) / 255
-    along = (np.arange(CELLS) + 0.5) * (2 / CELLS) - 1
-    x, y = np.meshgrid(along, along)
-    order = np.argsort(-cells, axis=None)[:16]
-    places = np.stack([np.stack([x, y], axis=-1).reshape(-1, 2)[order]] * 4, axis=1)
-    votes = np.stack([x, y] * 4 + [np.full_like(x, np.log(RADIUS)), cells, np.ones_like(x)])
-    return {
-        "places": places[None],
-        "radii": np.full((1, 16), RADIUS),
-        "scores": cells.reshape(-1)[order][None],
-        "moving": np.ones((1, 16)),
-        "votes": votes[None],
-        "ground": np.zeros((1, 3, CELLS, CELLS)),
-        "scene": np.zeros((1, 2)),
-    }
-
-
 def refine(patches: np.ndarray, wanted) -> dict[str, np.ndarray]:
-    """The centre of brightness of every patch."""
-    bright = np.clip(patches[:, :, 0] + 1, 0, None) + 1e-9
-    along = (np.arange(32) + 0.5) / 16 - 1
-    x, y = np.meshgrid(along, along)
-    total = bright.sum(axis=(2, 3))
-    offsets = np.stack([(bright * x).sum(axis=(2, 3)), (bright * y).sum(axis=(2, 3))], axis=-1)
-    offsets = offsets / total[..., None]
-    count = len(patches)
-    said = {
-        "offsets": offsets,
-        "log_radius": np.zeros(count) + np.log(0.5),
-        "visible": np.where(total > 1, 8.0, -8.0),
-        "log_sigmas": np.zeros((count, 2)),
-        "features": np.zeros((count, 128)),
-    }
-    return {name: said[name] for name in wanted}
+    seen = dot_balls.refine(patches)
+    return {name: seen[name] for name in wanted}
 
 
 def test_balls_are_found_once_each_in_frames_of_any_rectangle():

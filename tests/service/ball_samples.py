@@ -15,10 +15,8 @@ from rollcast.manifest import (
 )
 from service.inference.ball_predictor import BallPredictor
 from service.serving.registry import Model
+from tests.rollcast import dot_balls
 from tests.service.samples import encode, manifest
-
-CELLS = 32
-RADIUS = 4 / 64
 
 
 def dots(paths: np.ndarray, height: int, width: int) -> list[np.ndarray]:
@@ -43,38 +41,12 @@ def files(frames: Sequence[np.ndarray]) -> list[bytes]:
 
 
 def _detect(frames: np.ndarray) -> dict[str, np.ndarray]:
-    cells = frames[0, -1, ..., 0].reshape(CELLS, 4, CELLS, 4).mean(axis=(1, 3)) / 255
-    along = (np.arange(CELLS) + 0.5) * (2 / CELLS) - 1
-    x, y = np.meshgrid(along, along)
-    order = np.argsort(-cells, axis=None)[:16]
-    places = np.stack([np.stack([x, y], axis=-1).reshape(-1, 2)[order]] * 4, axis=1)
-    votes = np.stack([x, y] * 4 + [np.full_like(x, np.log(RADIUS)), cells, np.ones_like(x)])
-    return {
-        "places": places[None],
-        "radii": np.full((1, 16), RADIUS),
-        "scores": np.minimum(2 * cells, 1).reshape(-1)[order][None],
-        "moving": np.ones((1, 16)),
-        "votes": votes[None],
-        "ground": np.zeros((1, 3, CELLS, CELLS)),
-        "scene": np.zeros((1, 2)),
-    }
+    said = dot_balls.detect(frames)
+    return said | {"scores": np.minimum(2 * said["scores"], 1)}
 
 
 def _refine(patches: np.ndarray) -> dict[str, np.ndarray]:
-    bright = np.clip(patches[:, :, 0] + 1, 0, None) + 1e-9
-    along = (np.arange(32) + 0.5) / 16 - 1
-    x, y = np.meshgrid(along, along)
-    total = bright.sum(axis=(2, 3))
-    offsets = np.stack([(bright * x).sum(axis=(2, 3)), (bright * y).sum(axis=(2, 3))], axis=-1)
-    offsets = offsets / total[..., None]
-    count = len(patches)
-    return {
-        "offsets": offsets,
-        "log_radius": np.full(count, np.log(0.5)),
-        "visible": np.where(total > 1, 8.0, -8.0),
-        "log_sigmas": np.full((count, 2), -6.0),
-        "features": np.zeros((count, 128)),
-    }
+    return dot_balls.refine(patches) | {"log_sigmas": np.full((len(patches), 2), -6.0)}
 
 
 def _outputs(positions: np.ndarray) -> dict[str, np.ndarray]:

@@ -5,12 +5,11 @@ the encoder makes the first state of what they saw, and the step moves it on. Be
 :func:`rollcast.ball_finding.find_balls` cuts the patches out of the frames as they were sent.
 """
 
-import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-import onnx
 import torch
 from torch import Tensor
 
@@ -30,18 +29,16 @@ from rollcast.manifest import (
     OutputName,
 )
 from rollcast.patches import PATCH_SIZE
+from rollcast.rollout import roll_on
 from rollcast.trajectory import OBSERVED_FRAMES
-from training.common.settings import keep_runtime_silent
-from training.export.onnx_graphs import drop_traces
-from training.export.weight_rounding import rename, store_in_bytes
+from training.export.onnx_graphs import free_axis, open_graphs, present, run_step, write_graph
 from training.networks.any_ball import AnyBallNet, Seen
 from training.networks.ball_detector import peaks
 from training.networks.perception import FEATURES
-from training.networks.recurrent import Observation, State
+from training.networks.recurrent import State
 
 STATE_NAMES = State._fields
 OUTPUTS: tuple[OutputName, ...] = ("positions", "covariances", "angular_velocities")
-_OWN_PREFIX = "network."
 
 
 class DetectorGraph(torch.nn.Module):
@@ -97,7 +94,7 @@ class BallEncoderGraph(torch.nn.Module):
         seen = Seen(places, places, radii, radii[..., None], log_sigmas, features)
         balls = self.network.eye.begin(seen, ground, scene)
         state = self.network.state(seen, balls, ground)
-        return *state, *_present(self.network.observe(state))
+        return *state, *present(self.network.observe(state))
 
 
 class BallStepGraph(torch.nn.Module):
@@ -110,24 +107,24 @@ class BallStepGraph(torch.nn.Module):
     def forward(self, s: Tensor, p: Tensor) -> tuple[Tensor, ...]:
         """Move a frame on."""
         state = self.network.advance(State(s, p))
-        return *state, *_present(self.network.observe(state))
+        return *state, *present(self.network.observe(state))
 
 
 def write_ball_graphs(network: AnyBallNet, folder: Path) -> None:
     """Write the graphs of a network into an artefact's folder."""
     network = network.eval()
     folder.mkdir(parents=True, exist_ok=True)
-    batch = torch.export.Dim("batch", min=1, max=4096)
-    balls = torch.export.Dim("balls", min=1, max=4096)
+    batch = free_axis("batch")
+    balls = free_axis("balls")
     frames = torch.zeros(2, OBSERVED_FRAMES, 128, 128, 3, dtype=torch.uint8)
-    _write(
-        DetectorGraph(network), (frames,), ({0: batch},), [FRAMES_INPUT], DETECTOR_OUTPUTS,
-        folder / DETECTOR_FILE,
+    write_graph(
+        DetectorGraph(network), (frames,), [FRAMES_INPUT], DETECTOR_OUTPUTS,
+        folder / DETECTOR_FILE, ({0: batch},),
     )  # fmt: skip
     patches = torch.zeros(3, OBSERVED_FRAMES, 3, PATCH_SIZE, PATCH_SIZE)
-    _write(
-        RefinerGraph(network), (patches,), ({0: balls},), [PATCHES_INPUT], REFINER_OUTPUTS,
-        folder / REFINER_FILE,
+    write_graph(
+        RefinerGraph(network), (patches,), [PATCHES_INPUT], REFINER_OUTPUTS,
+        folder / REFINER_FILE, ({0: balls},),
     )  # fmt: skip
     both = {0: batch, 1: balls}
     begun = (
@@ -135,46 +132,17 @@ def write_ball_graphs(network: AnyBallNet, folder: Path) -> None:
         torch.zeros(2, 3, FEATURES), torch.zeros(2, 3, 32, 32), torch.zeros(2, 2),
     )  # fmt: skip
     encoded = [*STATE_NAMES, *OUTPUTS]
-    _write(
-        BallEncoderGraph(network), begun, (both, both, both, both, {0: batch}, {0: batch}),
-        [*BALL_INPUTS, *SCENE_INPUTS], encoded, folder / ENCODER_FILE,
+    write_graph(
+        BallEncoderGraph(network), begun, [*BALL_INPUTS, *SCENE_INPUTS], encoded,
+        folder / ENCODER_FILE, (both, both, both, both, {0: batch}, {0: batch}),
     )  # fmt: skip
     with torch.inference_mode():
         state = BallEncoderGraph(network)(*begun)[: len(STATE_NAMES)]
     stepped = [*(NEXT_PREFIX + name for name in STATE_NAMES), *OUTPUTS]
-    _write(
-        BallStepGraph(network), state, ({0: batch}, both), list(STATE_NAMES), stepped,
-        folder / STEP_FILE,
+    write_graph(
+        BallStepGraph(network), state, list(STATE_NAMES), stepped, folder / STEP_FILE,
+        ({0: batch}, both),
     )  # fmt: skip
-
-
-def _write(
-    module: torch.nn.Module,
-    arguments: tuple[Tensor, ...],
-    axes: tuple[Mapping[int, object], ...],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    path: Path,
-) -> None:
-    # Ordinary tensors: those made in inference mode cannot be traced.
-    arguments = tuple(argument.clone() for argument in arguments)
-    with warnings.catch_warnings():
-        # Tensors share their free axes; torch warns that it keeps one name for each.
-        warnings.filterwarnings("ignore", message="# The axis name")
-        # torch's exporter calls what torch itself has deprecated.
-        warnings.filterwarnings("ignore", message=".isinstance.treespec", category=FutureWarning)
-        torch.onnx.export(
-            module.eval(), arguments, path, input_names=list(inputs), output_names=list(outputs),
-            dynamic_shapes=axes, dynamo=True, external_data=False, verbose=False,
-        )  # fmt: skip
-    model = onnx.load(path)
-    for initialiser in model.graph.initializer:
-        rename(model.graph, initialiser.name, initialiser.name.removeprefix(_OWN_PREFIX))
-        initialiser.name = initialiser.name.removeprefix(_OWN_PREFIX)
-    store_in_bytes(model.graph)
-    drop_traces(model.graph)
-    onnx.checker.check_model(model)
-    onnx.save(model, path)
 
 
 class BallGraphs:
@@ -187,15 +155,10 @@ class BallGraphs:
     """
 
     def __init__(self, folder: Path) -> None:
-        keep_runtime_silent()
-        import onnxruntime
-
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        self._detector, self._refiner, self._encoder, self._step = (
-            onnxruntime.InferenceSession(folder / file, options)
-            for file in (DETECTOR_FILE, REFINER_FILE, ENCODER_FILE, STEP_FILE)
-        )
+        files = (DETECTOR_FILE, REFINER_FILE, ENCODER_FILE, STEP_FILE)
+        self._detector, self._refiner, self._encoder, self._step = open_graphs(
+            folder, files
+        ).values()
 
     def detect(self, frames: np.ndarray) -> Arrays:
         """Run the detector."""
@@ -211,18 +174,5 @@ class BallGraphs:
         """Forecast the steps 0..horizon-1 of balls: outputs [N, T, ...] by name."""
         seen = {name: getattr(balls, name)[None].astype(np.float32) for name in BALL_INPUTS}
         seen |= {name: said[name] for name in SCENE_INPUTS}
-        *state, positions, covariances, spins = self._encoder.run([*STATE_NAMES, *OUTPUTS], seen)
-        rows = [(positions, covariances, spins)]
-        names = [*(NEXT_PREFIX + name for name in STATE_NAMES), *OUTPUTS]
-        for _ in range(horizon - 1):
-            values = self._step.run(names, dict(zip(STATE_NAMES, state, strict=True)))
-            state = values[: len(STATE_NAMES)]
-            positions, covariances, spins = values[len(STATE_NAMES) :]
-            rows.append((positions, covariances, spins))
-        stacked = (np.stack(parts, axis=2)[0] for parts in zip(*rows, strict=True))
-        return dict(zip(OUTPUTS, stacked, strict=True))
-
-
-def _present(observation: Observation) -> tuple[Tensor, ...]:
-    named = (getattr(observation, name) for name in OUTPUTS)
-    return tuple(value for value in named if isinstance(value, Tensor))
+        rolled = roll_on(partial(run_step, self._step), run_step(self._encoder, seen), horizon)
+        return {name: rolled[name][0] for name in OUTPUTS}

@@ -5,7 +5,7 @@ training starts from.
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -116,7 +116,7 @@ def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
     if isinstance(predictor, EyedNetwork):
         (eye,) = (EyeGraph(part) for part in predictor.modules() if isinstance(part, Eye))
         seen, read_names = (frames[:, :OBSERVED_FRAMES],), [PLACES, *READ_NAMES]
-        _write_graph(eye, seen, [FRAMES_INPUT], read_names, folder / EYE_FILE)
+        write_graph(eye, seen, [FRAMES_INPUT], read_names, folder / EYE_FILE)
         with torch.inference_mode():
             (_, *read, _), finals = looked(eye.eye, frames)
         names = list(READ_NAMES)
@@ -124,37 +124,43 @@ def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
             names.append(FINALS)
             read.append(finals)
         encoder = ReadEncoderGraph(predictor)
-        _write_graph(encoder, tuple(read), names, encoded, folder / ENCODER_FILE)
+        write_graph(encoder, tuple(read), names, encoded, folder / ENCODER_FILE)
     else:
         (folder / EYE_FILE).unlink(missing_ok=True)
         encoder = EncoderGraph(predictor)
-        _write_graph(encoder, (frames,), [FRAMES_INPUT], encoded, folder / ENCODER_FILE)
+        write_graph(encoder, (frames,), [FRAMES_INPUT], encoded, folder / ENCODER_FILE)
     with torch.inference_mode():
         state = tuple(predictor.start(frames))
     stepped = [*(NEXT_PREFIX + name for name in STATE_NAMES), *_of_a_step(outputs)]
-    _write_graph(StepGraph(predictor), state, list(STATE_NAMES), stepped, folder / STEP_FILE)
+    write_graph(StepGraph(predictor), state, list(STATE_NAMES), stepped, folder / STEP_FILE)
 
 
-def _write_graph(
+def write_graph(
     module: torch.nn.Module,
     arguments: tuple[Tensor, ...],
     inputs: Sequence[str],
     outputs: Sequence[str],
     path: Path,
+    axes: Sequence[Mapping[int, object]] | None = None,
 ) -> None:
-    """Write a graph; the first axis of all arguments is the batch's."""
+    """Write a graph.
+
+    Parameters
+    ----------
+    axes
+        Free axes of each argument; by default the first one, which is the batch's.
+    """
     # Ordinary tensors: those made in inference mode cannot be traced.
     arguments = tuple(argument.clone() for argument in arguments)
-    batch = torch.export.Dim("batch", min=1, max=4096)
+    axes = axes or [{0: free_axis("batch")}] * len(arguments)
     with warnings.catch_warnings():
-        # The state's tensors share the batch axis; torch warns that it keeps one name for it.
+        # Tensors share their free axes; torch warns that it keeps one name for each.
         warnings.filterwarnings("ignore", message="# The axis name")
         # torch's exporter calls what torch itself has deprecated.
         warnings.filterwarnings("ignore", message=".isinstance.treespec", category=FutureWarning)
         torch.onnx.export(
             module.eval(), arguments, path, input_names=list(inputs), output_names=list(outputs),
-            dynamic_shapes=tuple({0: batch} for _ in arguments), dynamo=True, external_data=False,
-            verbose=False,
+            dynamic_shapes=tuple(axes), dynamo=True, external_data=False, verbose=False,
         )  # fmt: skip
     model = onnx.load(path)
     for initialiser in model.graph.initializer:
@@ -166,12 +172,31 @@ def _write_graph(
     onnx.save(model, path)
 
 
+def free_axis(name: str) -> object:
+    """Return an axis of a graph whose length is that of its input."""
+    return torch.export.Dim(name, min=1, max=4096)
+
+
 def drop_traces(graph: onnx.GraphProto) -> None:
     """Drop the exporter's stack traces: paths of this machine, and other bytes in every export."""
     parts = (graph.node, graph.initializer, graph.value_info, graph.input, graph.output)
     for part in (graph, *(one for of_kind in parts for one in of_kind)):
         del part.metadata_props[:]
         part.doc_string = ""
+
+
+def open_graphs(folder: Path, files: Iterable[str]) -> dict[str, "InferenceSession"]:
+    """Open the graphs of an artefact that exist, on one thread as in the service, by file."""
+    keep_runtime_silent()
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    return {
+        file: onnxruntime.InferenceSession(folder / file, options)
+        for file in files
+        if (folder / file).exists()
+    }
 
 
 class Graphs:
@@ -184,16 +209,7 @@ class Graphs:
     """
 
     def __init__(self, folder: Path) -> None:
-        keep_runtime_silent()
-        import onnxruntime
-
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        opened = {
-            file: onnxruntime.InferenceSession(folder / file, options)
-            for file in (EYE_FILE, ENCODER_FILE, STEP_FILE)
-            if (folder / file).exists()
-        }
+        opened = open_graphs(folder, (EYE_FILE, ENCODER_FILE, STEP_FILE))
         self._eye = opened.get(EYE_FILE)
         self._encoder, self._step = opened[ENCODER_FILE], opened[STEP_FILE]
         self._read = [one.name for one in self._encoder.get_inputs()]
@@ -203,18 +219,19 @@ class Graphs:
         seen = {FRAMES_INPUT: frames}
         if self._eye is not None:
             seen = run_perception(self._eye.run, self._read, frames)
-        return _step(self._encoder, seen)
+        return run_step(self._encoder, seen)
 
     def advance(self, state: Arrays) -> Step:
         """Return the next state and the outputs of its step."""
-        return _step(self._step, state)
+        return run_step(self._step, state)
 
     def roll(self, frames: np.ndarray, horizon: int) -> dict[OutputName, np.ndarray]:
         """Forecast the steps 0..horizon-1 of frames: outputs [B, N, T, ...] by name."""
         return dict(roll_out(self, frames, horizon))
 
 
-def _step(session: "InferenceSession", inputs: Arrays) -> Step:
+def run_step(session: "InferenceSession", inputs: Arrays) -> Step:
+    """Return the state and the outputs of an encoder or a step."""
     names = [one.name for one in session.get_outputs()]
     values = dict(zip(names, session.run(names, dict(inputs)), strict=True))
     return Step.split(values, [name for name in OUTPUT_SHAPES if name in values])

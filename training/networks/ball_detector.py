@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from rollcast.trajectory import OBSERVED_FRAMES
-from training.networks.blocks import cell_centres, normalised_frames
+from training.networks.blocks import cell_centres
 from training.networks.perception import FirstLook
 
 CANDIDATES = 16
@@ -81,21 +81,10 @@ class BallDetector(FirstLook):
 
     def maps(self, frames_BKHW3: Tensor) -> BallMaps:
         """Look at the seen frames uint8 [B, 4, 128, 128, 3]."""
-        image = normalised_frames(frames_BKHW3)
-        image = torch.cat([image, self.place.expand(image.shape[0], -1, -1, -1)], dim=1)
-        image = image.contiguous(memory_format=torch.channels_last)
-        at_32 = self.stem(image)
-        at_16 = self.down_16(at_32)
-        at_8 = self.down_8(at_16)
-        at_16 = self.refine_16(at_16 + functional.interpolate(self.up_16(at_8), scale_factor=2.0))
-        at_32 = self.refine_32(at_32 + functional.interpolate(self.up_32(at_16), scale_factor=2.0))
-        ground = self.ground(at_32.relu()).float()
-        ground = torch.cat([ground[:, :2].tanh(), ground[:, 2:]], dim=1)
-        scene = self.measures(at_8.relu().float().mean(dim=(2, 3))).float()
-        at_16 = at_16.relu()
+        ground, scene, at_32, at_16 = self.trunk(frames_BKHW3)
         near = self.said_16(torch.cat([at_16, self.where(at_16)], dim=1))
         near = functional.interpolate(near, scale_factor=2.0)
-        said = self.said(self.said_32(at_32.relu()) + near).float()
+        said = self.said(self.said_32(at_32) + near).float()
         now = self.cells + 8 * PIXEL * said[:, 3:5]
         before = now[:, None] + 8 * PIXEL * said[:, 5:].unflatten(1, (OBSERVED_FRAMES - 1, 2))
         log_radius = said[:, 2].clamp(-3, 3) + torch.log(torch.tensor(USUAL_RADIUS))

@@ -18,8 +18,8 @@ from torch.nn import functional
 from rollcast.patches import PATCH_SIZE, WIDTH_IN_RADII
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.common.precision import full_precision
-from training.networks.blocks import ResidualConv, cell_centres
-from training.networks.perception import FEATURES, PATCH_HALF_WIDTH
+from training.networks.blocks import cell_centres
+from training.networks.perception import FEATURES, PATCH_HALF_WIDTH, patch_layers
 
 PAIRS = OBSERVED_FRAMES - 1
 LEARNED = 5
@@ -120,20 +120,7 @@ class PatchRefiner(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.layers = nn.Sequential(
-            nn.Conv2d(3 * OBSERVED_FRAMES, 64, 5, stride=2, padding=2),
-            ResidualConv(64, 64),
-            ResidualConv(64, 64),
-            nn.ReLU(),
-            nn.Conv2d(64, 96, 3, stride=2, padding=1),
-            ResidualConv(96, 96),
-            ResidualConv(96, 96),
-            nn.ReLU(),
-            nn.Conv2d(96, 24, 1),
-            nn.Flatten(),
-            nn.Linear(24 * (PATCH_SIZE // 4) ** 2, 256),
-            nn.ReLU(),
-        )
+        self.layers = patch_layers(PATCH_SIZE)
         self.correction = nn.Linear(256, 2 * OBSERVED_FRAMES)
         self.features = nn.Linear(256, FEATURES)
         self.registration = Registration()

@@ -143,6 +143,11 @@ class FirstLook(nn.Module):
 
     def forward(self, frames_BKHW3: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Positions [B, N, K, 2] in the seen frames, ground [B, 3, 32, 32] and measures [B, 2]."""
+        ground, measures, _, at_16 = self.trunk(frames_BKHW3)
+        return _attended(self.where(at_16), self.seen), ground, measures
+
+    def trunk(self, frames_BKHW3: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Ground, measures, and the rectified features at 32 x 32 and at 16 x 16 cells."""
         image = normalised_frames(frames_BKHW3)
         image = torch.cat([image, self.place.expand(image.shape[0], -1, -1, -1)], dim=1)
         image = image.contiguous(memory_format=torch.channels_last)
@@ -153,9 +158,26 @@ class FirstLook(nn.Module):
         at_32 = self.refine_32(at_32 + functional.interpolate(self.up_32(at_16), scale_factor=2.0))
         ground = self.ground(at_32.relu()).float()
         ground = torch.cat([ground[:, :2].tanh(), ground[:, 2:]], dim=1)
-        positions = _attended(self.where(at_16.relu()), self.seen)
         measures = self.measures(at_8.relu().float().mean(dim=(2, 3))).float()
-        return positions, ground, measures
+        return ground, measures, at_32.relu(), at_16.relu()
+
+
+def patch_layers(size: int) -> nn.Sequential:
+    """Return the layers that read the patches of a ball, ``size`` samples wide, to [256]."""
+    return nn.Sequential(
+        nn.Conv2d(3 * OBSERVED_FRAMES, 64, 5, stride=2, padding=2),
+        ResidualConv(64, 64),
+        ResidualConv(64, 64),
+        nn.ReLU(),
+        nn.Conv2d(64, 96, 3, stride=2, padding=1),
+        ResidualConv(96, 96),
+        ResidualConv(96, 96),
+        nn.ReLU(),
+        nn.Conv2d(96, 24, 1),
+        nn.Flatten(),
+        nn.Linear(24 * (size // 4) ** 2, 256),
+        nn.ReLU(),
+    )
 
 
 class CloserLook(nn.Module):
@@ -172,20 +194,7 @@ class CloserLook(nn.Module):
 
     def __init__(self, features: int) -> None:
         super().__init__()
-        self.layers = nn.Sequential(
-            nn.Conv2d(3 * OBSERVED_FRAMES, 64, 5, stride=2, padding=2),
-            ResidualConv(64, 64),
-            ResidualConv(64, 64),
-            nn.ReLU(),
-            nn.Conv2d(64, 96, 3, stride=2, padding=1),
-            ResidualConv(96, 96),
-            ResidualConv(96, 96),
-            nn.ReLU(),
-            nn.Conv2d(96, 24, 1),
-            nn.Flatten(),
-            nn.Linear(24 * (PATCH // 4) ** 2, 256),
-            nn.ReLU(),
-        )
+        self.layers = patch_layers(PATCH)
         self.correction = nn.Linear(256, 2 * OBSERVED_FRAMES)
         self.features = nn.Linear(256, features) if features else None
         nn.init.zeros_(self.correction.weight)
