@@ -10,10 +10,10 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 SMALLEST_TEXT = 1024
-"""Bytes from which on descriptions and documents are compressed."""
+"""Smallest description or document that is compressed, in bytes."""
 SMALLEST_ANSWER = 64 * 1024
-"""Bytes from which on answers to POST are: forecasts of a usual horizon, which somebody may wait
-for in a control loop, and their answers are left alone."""
+"""Smallest answer to a POST request that is compressed, in bytes. Forecasts of a usual horizon are
+smaller: compression would delay control loops."""
 COMPRESSIBLE = {".css", ".html", ".js", ".md", ".svg"}
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from rollcast.camera import NETWORK_FRAME_SIZE
-from rollcast.kinematics import KinematicForecast, kinematic_forecast, mean_slopes
+from rollcast.kinematics import kinematic_forecast, mean_slopes
 from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS
 from rollcast.patches import Letterbox
 from rollcast.scene import BallColor
@@ -40,6 +40,8 @@ class RequestBalls:
         Points of the last frame, or None.
     objects
         Number of balls, or None.
+    horizon
+        Steps of the forecast.
 
     Raises
     ------
@@ -53,13 +55,22 @@ class RequestBalls:
         frames: UInt8[np.ndarray, "4 height width 3"],
         prompts: Sequence[BallPrompt] | None,
         objects: int | None,
+        horizon: int,
     ) -> None:
         self.box = Letterbox(*frames.shape[1:3])
         points, radii = (None, None) if prompts is None else _points(prompts, self.box)
         self.found: FoundBalls = model.find(frames, points, radii, objects)
         self._last = frames[-1]
-        assert model.manifest.kinematic is not None
-        self._source = model.manifest.kinematic
+        source = model.manifest.kinematic
+        assert source is not None
+        self._level_slope = source.level_slope
+        balls = self.found.balls
+        self._path = kinematic_forecast(
+            HALF + HALF * balls.places,
+            HALF * np.exp(balls.log_sigmas),
+            source.acceleration_px,
+            np.arange(max(horizon, LEVEL_STEPS)),
+        )
 
     @property
     def count(self) -> int:
@@ -77,30 +88,22 @@ class RequestBalls:
 
         Its covariances are scaled to the network's radius of the ellipse that holds half.
         """
-        steps = np.arange(first_step, first_step + network.positions.shape[2], dtype=np.intp)
-        made = self._kinematic(steps)
+        steps = slice(first_step, first_step + network.positions.shape[2])
         scale = (GAUSSIAN_ELLIPSE50_RADIUS / network.ellipse50_radii) ** 2
         return replace(
             network,
-            positions=made.positions[None].astype(np.float32),
-            covariances=(made.covariances * scale[:, None, None])[None].astype(np.float32),
+            positions=self._path.positions[None, :, steps].astype(np.float32),
+            covariances=(self._path.covariances[:, steps] * scale[:, None, None])[None].astype(
+                np.float32
+            ),
         )
 
     @property
     def on_level_ground(self) -> list[bool]:
         """True for balls whose kinematic path lies on level ground, according to the model."""
-        paths = self._kinematic(np.arange(LEVEL_STEPS)).positions / HALF - 1
+        paths = self._path.positions[:, :LEVEL_STEPS] / HALF - 1
         slopes = mean_slopes(self.found.said["ground"][0], paths)
-        return (slopes < self._source.level_slope).tolist()
-
-    def _kinematic(self, steps: np.ndarray) -> KinematicForecast:
-        balls = self.found.balls
-        return kinematic_forecast(
-            HALF + HALF * balls.places,
-            HALF * np.exp(balls.log_sigmas),
-            self._source.acceleration_px,
-            steps,
-        )
+        return (slopes < self._level_slope).tolist()
 
     @property
     def scores(self) -> list[float]:

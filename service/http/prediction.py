@@ -171,7 +171,7 @@ class _Forecast:
         request = self.request
         self._size = (frames.shape[2], frames.shape[1])
         self._stages.next()
-        self._balls = balls = RequestBalls(predictor, frames, request.balls, objects)
+        self._balls = balls = RequestBalls(predictor, frames, request.balls, objects, self._horizon)
         source = predictor.manifest.covariance.source
         levels = balls.on_level_ground if request.model == AUTO_MODEL else [False] * balls.count
         told = zip(balls.colors, balls.scores, balls.seen, balls.warnings, levels, strict=True)
