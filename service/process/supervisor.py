@@ -163,10 +163,11 @@ class Supervisor(Multiprocess):
 
         A worker that ends before any worker has served ends the service: it would fail again.
         """
-        for index, worker in enumerate(self._workers):
-            alive = worker.process.is_alive()
+        for worker in self._workers:  # all of them, since one that has served decides for all
             worker.receive()
             self._has_served = self._has_served or worker.has_started
+        for index, worker in enumerate(self._workers):
+            alive = worker.process.is_alive()
             if alive and worker.is_responsive():
                 continue
             worker.kill()

@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 
 import httpx2
+import psutil
 import pytest
 
 from rollcast.client import Client
@@ -59,6 +60,26 @@ def test_a_killed_worker_is_replaced_and_has_the_models_of_the_others():
         assert restarts(service, "unresponsive") == 0
         assert f"worker {killed.pid} exited with -9; replaced by" in service.log()
         assert other.pid in {one.pid for one in service.workers()}
+
+
+def test_a_worker_that_ends_before_it_served_is_replaced_beside_one_that_serves():
+    with Service(2, wait=False) as service:
+
+        def started() -> list[psutil.Process]:
+            children = service.process.children()
+            return [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+
+        wait_for(lambda: len(started()) == 2)
+        first = min(started(), key=lambda child: child.pid)
+        # Whatever the workers do meanwhile, the supervisor finds at once.
+        first.suspend()
+        service.process.suspend()
+        live = httpx2.get(f"{service.address}/health/live", timeout=60)  # from the other worker
+        assert live.status_code == 200
+        first.kill()
+        service.process.resume()
+        wait_for(lambda: len(service.workers()) == 2)
+        assert restarts(service, "exited") == 1
 
 
 def test_a_stopped_worker_is_noticed_and_replaced():

@@ -58,8 +58,10 @@ class Service:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        """Stop in time, whatever state its processes are in."""
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Stop in time, whatever state its processes are in; a failed test shows the log."""
+        if kind is not None:
+            print(self.log())
         everything = []
         with suppress(psutil.NoSuchProcess):
             everything = [self.process, *self.process.children(recursive=True)]
@@ -70,6 +72,7 @@ class Service:
             for process in everything:
                 with suppress(psutil.NoSuchProcess):
                     process.kill()
+            self.popen.communicate()
             self._folder.cleanup()
 
     def stop(self) -> None:
