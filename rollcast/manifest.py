@@ -157,6 +157,16 @@ class Unfamiliar(_Part):
     test_windows: Annotated[int, Field(ge=1)]
 
 
+class PlaceUncertainty(_Part):
+    """Standard deviation of a ball's place at t = 0 that tells lost balls (decision 0145)."""
+
+    threshold_px: Positive
+    """Value above which a ball counts as lost, pixels of 128."""
+    false_alarm_rate: Annotated[float, Field(ge=0, le=1)]
+    """Share of the test split's windows above it, in which no ball is hidden."""
+    test_windows: Annotated[int, Field(ge=1)]
+
+
 class CameraSetup(_Part):
     """The set-up whose footage a model was trained on."""
 
@@ -221,6 +231,8 @@ class Manifest(_Part):
     distribution for the model that it would choose."""
     kinematic: KinematicSource | None = None
     """Of models for any number of balls."""
+    place_uncertainty: PlaceUncertainty | None = None
+    """Of models that predict covariances, for a fixed number of balls."""
     unfamiliar: Unfamiliar | None = None
     """None without FAMILIARITY_FILE: such a model cannot tell."""
     files: dict[str, Sha256]

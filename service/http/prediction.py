@@ -1,6 +1,6 @@
 """One prediction request answered, whole or step by step: decode, choose, roll out, report."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -33,11 +33,11 @@ from service.http.found_balls import RequestBalls
 from service.http.image_decoding import Check, OpenedFrames
 from service.inference.ball_predictor import BallPredictor
 from service.inference.deadlines import CancellationToken
-from service.inference.rollout import CovarianceFloor, Forecast, Predictor, assemble
-from service.inference.scheduler import DecodedRequest
+from service.inference.rollout import CovarianceFloor, Forecast, Predictor, assemble, place_sigmas
+from service.inference.scheduler import DecodedRequest, Decoding
 from service.observability.metrics import Metrics
 from service.observability.tracing import Stages
-from service.serving.forecast_warnings import doubts, left_frame, replaced, unfamiliar
+from service.serving.forecast_warnings import doubts, left_frame, lost_ball, replaced, unfamiliar
 from service.serving.registry import ModelQuery, Registry
 
 Parser = Callable[[Check], tuple[PredictRequest, list[str]]]
@@ -80,14 +80,18 @@ class _Forecast:
         self._size = (0, 0)
         self._balls: RequestBalls | None = None
         self._details: list[BallDetails] = []
+        self._number: int | None = None
+        """Balls that the request names or prompts."""
         self._floor: CovarianceFloor | None = None
         self._left: dict[int, int] = {}
         """Step at which a ball leaves the frame, by its id."""
         self._rate = 0.0
         self._horizon = 0
         self._doubts: list[str] = []
+        self._limits: list[str] = []
+        """Warnings of the model that forecasts."""
 
-    def begin(self) -> DecodedRequest | Callable[[], DecodedRequest]:
+    def begin(self) -> Decoding:
         """Choose the model and decode the frames, or return what decodes them if that is slow.
 
         Raises
@@ -98,18 +102,18 @@ class _Forecast:
         self.request, names = self._parse(self._token.raise_if_cancelled)
         request = self.request
         self._doubts = numbering_warnings(names)
-        self._stages.next()
+        self._stages.begin("decode")
         final_frame = request.final_frame is not None
         prompted = request.balls is not None
-        objects = request.objects if request.balls is None else len(request.balls)
-        if request.objects not in (None, objects):
-            expected = f"{objects}, the number of balls"
+        self._number = request.objects if request.balls is None else len(request.balls)
+        if request.objects not in (None, self._number):
+            expected = f"{self._number}, the number of balls"
             raise InvalidValueError.at("objects", request.objects, expected)
         opened = _open(request, self._token.raise_if_cancelled)
         square = request.model != AUTO_MODEL or opened.is_square
         query = ModelQuery(
             request.model,
-            objects,
+            self._number,
             request.scenario,
             final_frame,
             prompted,
@@ -124,54 +128,53 @@ class _Forecast:
             opened.require_squares()
 
         def decode() -> DecodedRequest:
-            if isinstance(predictor, BallPredictor):
-                return self._with_balls(predictor, opened, objects)
-            return self._decoded(predictor, opened, objects)
+            return self._decoded(predictor, opened)
 
         return decode if opened.slow else decode()
 
-    def _decoded(
-        self, predictor: Predictor, opened: OpenedFrames, objects: int | None
-    ) -> DecodedRequest:
-        """Decode frames for a model for a fixed number of balls, which another may replace."""
+    def _decoded(self, predictor: Predictor, opened: OpenedFrames) -> DecodedRequest:
+        """Decode frames for a model; another one may replace it."""
+        if isinstance(predictor, BallPredictor):
+            return self._with_balls(predictor, opened)
         self._size = (opened.side, opened.side)
         frames = opened.decode()
         seen = frame_stats(frames)
+        self._limits = doubts(predictor, self._horizon, self._rate, seen)
         unlike = unfamiliar(predictor, seen)
-        self._doubts += [*doubts(predictor, self._horizon, self._rate, seen), *unlike]
-        if unlike and self.request.model == AUTO_MODEL:
-            other = self._registry.for_unfamiliar_frames(predictor)
-            if other is not None:
-                self._doubts.append(replaced(predictor.manifest, other.manifest))
-                self.manifest = other.manifest
-                if isinstance(other, BallPredictor):
-                    # Decoded again at their own size: only unfamiliar frames need it.
-                    whole = _open(self.request, self._token.raise_if_cancelled)
-                    return self._found(other, whole.decode_whole(), objects)
-                predictor = other
+        self._doubts += unlike
+        if unlike and (other := self._replacement()) is not None:
+            return self._decoded_anew(other)
         source = predictor.manifest.covariance.source
         colors = predictor.manifest.colors
         self._details = [BallDetails(ball, color, source) for ball, color in enumerate(colors)]
-        self._stages.next()
+        self._stages.begin("encode")
         return DecodedRequest(predictor, frames[None], self._horizon)
 
-    def _with_balls(
-        self, predictor: BallPredictor, opened: OpenedFrames, objects: int | None
-    ) -> DecodedRequest:
-        """Decode frames for a model for any number of balls."""
-        frames = opened.decode_whole()
-        seen = frame_stats(letterboxed(frames, NETWORK_FRAME_SIZE))
-        self._doubts += doubts(predictor, self._horizon, self._rate, seen)
-        return self._found(predictor, frames, objects)
+    def _replacement(self, reasons: Iterable[str] = ()) -> Predictor | None:
+        """Replace a choice of "auto" by the model for unfamiliar frames, if one is served."""
+        if self.request.model != AUTO_MODEL or self.manifest.random_appearances:
+            return None
+        other = self._registry.for_unfamiliar_frames(self.manifest)
+        if other is not None:
+            self._doubts += [*reasons, replaced(self.manifest, other.manifest)]
+            self.manifest = other.manifest
+        return other
 
-    def _found(
-        self, predictor: BallPredictor, frames: np.ndarray, objects: int | None
-    ) -> DecodedRequest:
+    def _decoded_anew(self, other: Predictor) -> DecodedRequest:
+        """Decode the frames once more, at the size that another model reads."""
+        return self._decoded(other, _open(self.request, self._token.raise_if_cancelled))
+
+    def _with_balls(self, predictor: BallPredictor, opened: OpenedFrames) -> DecodedRequest:
         """Find the balls in the frames as they were sent."""
         request = self.request
+        frames = opened.decode_whole()
+        seen = frame_stats(letterboxed(frames, NETWORK_FRAME_SIZE))
+        self._limits = doubts(predictor, self._horizon, self._rate, seen)
+        self._stages.begin("encode")
         self._size = (frames.shape[2], frames.shape[1])
-        self._stages.next()
-        self._balls = balls = RequestBalls(predictor, frames, request.balls, objects, self._horizon)
+        self._balls = balls = RequestBalls(
+            predictor, frames, request.balls, self._number, self._horizon
+        )
         source = predictor.manifest.covariance.source
         levels = balls.on_level_ground if request.model == AUTO_MODEL else [False] * balls.count
         told = zip(balls.colors, balls.scores, balls.seen, balls.warnings, levels, strict=True)
@@ -183,10 +186,29 @@ class _Forecast:
         ]
         return DecodedRequest(predictor.rollout(balls.count), balls.found.packed, self._horizon)
 
-    def step(self, index: int, outputs: Outputs) -> None:  # noqa: ARG002
-        """Note when the first step is there: the frames are encoded."""
+    def step(self, index: int, outputs: Outputs) -> Decoding | None:
+        """Judge by the first step whether the balls were found; another model may begin anew."""
         if index == 0:
-            self._stages.next()
+            if (instead := self._if_lost(outputs)) is not None:
+                return instead
+            self._stages.begin("rollout")
+        return None
+
+    def _if_lost(self, outputs: Outputs) -> Decoding | None:
+        """Warn of balls that were not found; let the model for unfamiliar frames look for them."""
+        known = self.manifest.place_uncertainty
+        if known is None:
+            return None
+        sigmas = place_sigmas(assemble(stacked([outputs]), self.manifest.covariance))
+        warnings = [lost_ball(self.manifest, known, sigma) for sigma in sigmas]
+        if not any(warnings):
+            return None
+        other = self._replacement(warning for ball in warnings for warning in ball)
+        if other is not None:
+            return lambda: self._decoded_anew(other)
+        told = zip(self._details, warnings, strict=True)
+        self._details = [ball._replace(warnings=[*ball.warnings, *more]) for ball, more in told]
+        return None
 
     def motions(self, outputs: Outputs, first_step: int) -> tuple[Forecast, Forecast | None]:
         """Turn stacked outputs into a forecast in pixels of 128.
@@ -248,7 +270,7 @@ class _Forecast:
             frame_size=self._size,
             frame_rate=self._rate,
             final_positions=None if final_positions is None else final_positions[0].tolist(),
-            warnings=self._doubts,
+            warnings=[*self._limits, *self._doubts],
             timing_ms=taken,
         )
 
@@ -262,10 +284,12 @@ class WholeForecast(_Forecast):
         super().__init__(parse, token, registry, metrics)
         self._steps: list[Outputs] = []
 
-    def step(self, index: int, outputs: Outputs) -> None:
+    def step(self, index: int, outputs: Outputs) -> Decoding | None:
         """Keep a step's outputs."""
-        super().step(index, outputs)
-        self._steps.append(outputs)
+        instead = super().step(index, outputs)
+        if instead is None:
+            self._steps.append(outputs)
+        return instead
 
     def finish(self) -> str:
         """Write the answer.
@@ -308,7 +332,7 @@ class StreamedForecast(_Forecast):
         self._emit = emit
         self._final: np.ndarray | None = None
 
-    def step(self, index: int, outputs: Outputs) -> None:
+    def step(self, index: int, outputs: Outputs) -> Decoding | None:
         """Hand a step over.
 
         Raises
@@ -316,7 +340,9 @@ class StreamedForecast(_Forecast):
         service.errors.DivergedError
             When a number is not finite.
         """
-        super().step(index, outputs)
+        instead = super().step(index, outputs)
+        if instead is not None:
+            return instead
         made, _ = self.motions(stacked([outputs]), first_step=index)
         forecast = self.answered(made, first_step=index)
         if index == 0:
@@ -339,6 +365,7 @@ class StreamedForecast(_Forecast):
                 ],
             )
         )
+        return None
 
     def finish(self) -> None:
         """Hand over what is no step."""

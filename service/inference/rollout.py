@@ -144,6 +144,11 @@ def assemble(
     return forecast
 
 
+def place_sigmas(made: Forecast) -> list[float]:
+    """Return the largest standard deviation of each ball's place at the first step, pixels."""
+    return np.sqrt(np.linalg.eigvalsh(made.covariances[0, :, 0])[:, -1]).tolist()
+
+
 class CovarianceFloor:
     """Keeps covariances from shrinking beyond the last calibrated step of a forecast.
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from queue import SimpleQueue
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
@@ -43,18 +43,29 @@ class DecodedRequest(NamedTuple):
     horizon: int
 
 
+Decoding: TypeAlias = DecodedRequest | Callable[[], DecodedRequest]
+"""A decoded request, or a function that decodes it in a thread for large images."""
+
+
 class Job(Protocol[T_co]):
     """A request on its way to its answer; every method is called in some thread of the scheduler.
 
     Whatever a method raises becomes the answer.
     """
 
-    def begin(self) -> DecodedRequest | Callable[[], DecodedRequest]:
+    def begin(self) -> Decoding:
         """Choose the model and decode the frames, or return what decodes them if that is slow."""
         ...
 
-    def step(self, index: int, outputs: Outputs) -> None:
-        """Take the outputs [B, N, ...] of a step; the first come with the encoded frames."""
+    def step(self, index: int, outputs: Outputs) -> Decoding | None:
+        """Take the outputs [B, N, ...] of a step; the first come with the encoded frames.
+
+        Returns
+        -------
+        Decoding or None
+            After the first step another model may begin the request anew: its decoded frames, or a
+            function that decodes them if that is slow.
+        """
         ...
 
     def finish(self) -> T_co:
@@ -81,24 +92,38 @@ class _Request(Generic[T]):
         """Whether it has all its steps."""
         return self.steps == self.horizon
 
-    def decode(self, how: Callable[[], DecodedRequest | Callable[[], DecodedRequest]]) -> None:
+    @property
+    def waits(self) -> bool:
+        """Whether it waits for a thread: its frames are to be decoded or encoded."""
+        return self.decoded is not None or self.slow is not None
+
+    def decode(self, how: Callable[[], Decoding]) -> None:
         """Decode the frames, or learn that it is slow; a failure is this request's answer."""
 
         def decode() -> None:
             self.token.raise_if_cancelled()
-            decoded = how()
-            if isinstance(decoded, DecodedRequest):
-                self.decoded = decoded
-                self.rows, self.horizon = len(decoded.frames), decoded.horizon
-            else:
-                self.slow = decoded
+            self._begin(how())
 
         self.fail_safely(decode)
 
     def take(self, outputs: Outputs) -> bool:
-        """Take the outputs of the next step; return whether that went well."""
+        """Take the outputs of the next step; return whether the request goes on in its rollout."""
         index, self.steps = self.steps, self.steps + 1
-        return self.fail_safely(lambda: self.job.step(index, outputs))
+
+        def step() -> None:
+            instead = self.job.step(index, outputs)
+            if instead is not None:
+                self.steps = 0
+                self._begin(instead)
+
+        return self.fail_safely(step) and not self.waits
+
+    def _begin(self, decoding: Decoding) -> None:
+        if isinstance(decoding, DecodedRequest):
+            self.decoded = decoding
+            self.rows, self.horizon = len(decoding.frames), decoding.horizon
+        else:
+            self.slow = decoding
 
     def finish(self) -> None:
         """Make the answer."""
@@ -331,7 +356,8 @@ class Scheduler:
         """Decode large images, of one request after the other."""
         while (member := self._slow.get()) is not None:
             assert member.slow is not None
-            member.decode(member.slow)
+            slow, member.slow = member.slow, None
+            member.decode(slow)
             if member.decoded is not None:
                 with self._lock:
                     self._waiting.appendleft(member)
@@ -363,8 +389,19 @@ class Scheduler:
             together.state = step.state
             for member in together.take(step.outputs):
                 member.finish()
+            self._begin_anew([member for member, _ in group if member.waits])
             if together.members:
                 self._arrive(predictor, together)
+
+    def _begin_anew(self, members: list[_Request[Any]]) -> None:
+        """Let requests that another model takes over wait for a thread, before all others."""
+        for member in members:
+            if member.slow is not None:
+                self._slow.put(member)
+                continue
+            with self._lock:
+                self._waiting.appendleft(member)
+                self._wake(1)
 
     def _arrive(self, predictor: Predictor, together: _Batch) -> None:
         """Let requests join the rollout of their model with its next step."""

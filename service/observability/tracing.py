@@ -1,13 +1,15 @@
 """The stages of a forecast: how long each took, told to Prometheus and to the request's trace."""
 
 import time
+from typing import Literal, TypeAlias, get_args
 
 from opentelemetry import context, trace
 
 from rollcast.schemas import PredictTiming
 from service.observability.metrics import Metrics
 
-NAMES = ("decode", "encode", "rollout")
+Stage: TypeAlias = Literal["decode", "encode", "rollout"]
+NAMES: tuple[Stage, ...] = get_args(Stage)
 
 
 class Stages:
@@ -21,9 +23,10 @@ class Stages:
         self._request = context.get_current()
         self._moments: list[float] = []
 
-    def next(self) -> None:
-        """Begin the first stage, or end one and begin the next."""
-        self._moments.append(time.perf_counter())
+    def begin(self, stage: Stage) -> None:
+        """Begin a stage and end the one before; a stage that has begun goes on."""
+        if NAMES.index(stage) == len(self._moments):
+            self._moments.append(time.perf_counter())
 
     def end(self, model: str) -> PredictTiming:
         """End the last stage; return the time of every one in milliseconds.
@@ -33,7 +36,7 @@ class Stages:
         model
             NAME@VERSION.
         """
-        self.next()
+        self._moments.append(time.perf_counter())
         begun, *ends = self._moments
         lengths = [1e3 * (end - start) for start, end in zip(self._moments, ends, strict=False)]
         taken = PredictTiming(

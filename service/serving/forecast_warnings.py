@@ -1,7 +1,7 @@
 """Reasons to trust a forecast less, in words for people."""
 
 from rollcast.footage import RATE_TOLERANCE
-from rollcast.manifest import Manifest
+from rollcast.manifest import Manifest, PlaceUncertainty
 from rollcast.ood import FrameStats
 from service.inference.rollout import Predictor
 
@@ -27,6 +27,24 @@ def replaced(chosen: Manifest, used: Manifest) -> str:
         f"{used.label} forecasts in place of {chosen.label}: it was trained on frames of random "
         "appearance. Name a model to use another one."
     )
+
+
+def lost_ball(manifest: Manifest, known: PlaceUncertainty, sigma_px: float) -> list[str]:
+    """Return the warning of a ball that a model has not found surely, if it has not.
+
+    Parameters
+    ----------
+    sigma_px
+        Standard deviation of the place at t = 0, pixels of 128.
+    """
+    if sigma_px <= known.threshold_px:
+        return []
+    percent = 100 * known.false_alarm_rate
+    return [
+        f"{manifest.label} has not found a ball surely: the standard deviation of its place at "
+        f"t = 0 is {sigma_px:.2g} px of 128, above {known.threshold_px:.2g} (false-alarm rate "
+        f"{percent:.2g} %). The forecast may be of something else."
+    ]
 
 
 def left_frame(step: int) -> str:

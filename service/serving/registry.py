@@ -191,13 +191,12 @@ class Registry:
             f"{query.scenario or 'unknown'} {kind}; served are {self._labels()}",
         )
 
-    def for_unfamiliar_frames(self, chosen: Predictor) -> Predictor | None:
-        """Return the model that replaces a choice of "auto" for out-of-distribution frames.
+    def for_unfamiliar_frames(self, wanted: Manifest) -> Predictor | None:
+        """Return the model that replaces the choice of "auto" for out-of-distribution frames.
 
         It was trained on frames of random appearance and forecasts as many balls of the same
         scenarios and frames; None when no such model is served.
         """
-        wanted = chosen.manifest
         suitable = [
             predictor
             for predictor in self.served

@@ -126,11 +126,17 @@ def manifest(**changes: object) -> Manifest:
 
 
 class DotPredictor:
-    """Follows the white square along a straight line, with unit covariances."""
+    """Follows the white square along a straight line.
 
-    def __init__(self, manifest: Manifest, familiarity: Familiarity | None = None) -> None:
+    Covariances are ``sigma`` squared along each axis.
+    """
+
+    def __init__(
+        self, manifest: Manifest, familiarity: Familiarity | None = None, sigma: float = 1
+    ) -> None:
         self.manifest = manifest
         self.familiarity = familiarity
+        self.sigma = sigma
 
     def encode(self, frames: np.ndarray, *, two_cores: bool = False) -> Step:
         positions = _centroids(frames)[:, :, None].repeat(self.manifest.objects, axis=2)
@@ -146,7 +152,7 @@ class DotPredictor:
         outputs = {"positions": position}
         if self.manifest.covariance.source == "predicted":
             outputs["covariances"] = np.broadcast_to(
-                np.eye(2, dtype=np.float32), (*position.shape, 2)
+                self.sigma**2 * np.eye(2, dtype=np.float32), (*position.shape, 2)
             )
         if self.manifest.angular_velocity:
             outputs["angular_velocities"] = np.ones((*position.shape[:2], 3), np.float32)

@@ -36,7 +36,7 @@ from training.export.any_ball import BallGraphs
 from training.export.export import export_run, with_covariance
 from training.export.footage import export_setup
 from training.export.load import load_exported
-from training.export.ood_fit import FAMILIAR_SCENES, familiarise
+from training.export.ood_fit import FAMILIAR_SCENES, familiarise, fit_place_uncertainties
 from training.export.static_quantisation import NotWorthItError
 from training.export.static_quantisation import quantise as quantise_model
 from training.networks.fieldnet import FieldNet
@@ -213,6 +213,7 @@ def complete(
     folders = [models / manifest.name / str(manifest.version) for manifest in manifests]
     if ood_scenes:
         familiarise(folders, ood_scenes, workers)
+        fit_place_uncertainties(folders, ood_scenes, workers)
     _show(manifests)
 
 
@@ -249,7 +250,7 @@ def fit_ood(
     ] = FAMILIAR_SCENES,
     workers: Workers = CORES,
 ) -> None:
-    """Write into exported models how to tell frames that look unlike the training's."""
+    """Write into exported models how to tell frames that they do not know."""
     folders = models or [
         path.parent
         for path in MODELS.glob(f"*/*/{MANIFEST_FILE}")
@@ -257,3 +258,5 @@ def fit_ood(
     ]
     for manifest in familiarise(folders, scenes, workers):
         typer.echo(f"{manifest.label}: {manifest.unfamiliar}")
+    for manifest in fit_place_uncertainties(folders, scenes, workers):
+        typer.echo(f"{manifest.label}: {manifest.place_uncertainty}")

@@ -32,7 +32,10 @@ class BallTraining:
     batches
         Budget.
     looked_at
-        Balls per window, in the mean, whose patches are cut.
+        Balls per window, in the mean, whose patches are cut. With 0, the detector trains alone.
+    frozen
+        Prefixes of the parameters that do not train. With ``eye.detector.`` among them, the patch
+        refiner and the states at t = 0 train alone, on several times as many balls in the time.
     """
 
     batches: int
@@ -133,9 +136,12 @@ class BallTrainer(TrainingLoop[BallBatch]):
     def losses(self, batch: BallBatch) -> dict[str, Tensor]:
         """Return the parts of the loss of a batch by name."""
         eye = self.network.eye
-        with mixed_precision(batch.places.device):
+        detects = any(parameter.requires_grad for parameter in eye.detector.parameters())
+        with mixed_precision(batch.places.device), torch.set_grad_enabled(detects):
             maps = eye.detector.maps(batch.frames)
-        parts = self._detection(maps, batch)
+        parts = self._detection(maps, batch) if detects else {}
+        if not self.training.looked_at:
+            return parts
         generator = torch.Generator().manual_seed(self.batches + 7919 * self.training.seed)
         rows = _rows(batch, self.training.looked_at, generator)
         balls, places, radii = _beginnings(batch, maps, rows, generator)

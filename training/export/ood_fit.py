@@ -1,23 +1,40 @@
-"""Fits what training frames look like, so that the service can tell when others do not (0120)."""
+"""Fits what tells frames that a model does not know.
 
-from collections.abc import Mapping, Sequence
+Two signs: an out-of-distribution score of the frames (decision 0120), and the standard deviation of
+a ball's place at t = 0 (decision 0145).
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import torch
+from jaxtyping import Float
 
-from rollcast.manifest import FAMILIARITY_FILE, MANIFEST_FILE, Manifest, Unfamiliar
+from rollcast.manifest import (
+    FAMILIARITY_FILE,
+    MANIFEST_FILE,
+    Manifest,
+    PlaceUncertainty,
+    Unfamiliar,
+)
 from rollcast.ood import Familiarity, FrameStats, frame_stats, summed_up
 from rollcast.scene import SMALL_RADIUS_M, Scenario
 from training.data.clip_dataset import Clips
 from training.data.shards import Source, load_recordings, simulate_split
 from training.data.splits import Split
-from training.data.windows import Symmetry, WindowMaker, fixed_windows
+from training.data.windows import Symmetry, Window, WindowMaker, fixed_windows
 from training.export.export import hashes
+from training.export.load import load_exported
+from training.networks.recurrent import Family
+from training.objectives.metrics import forecast
 
 COMPONENTS = 24
 LATEST_START = 140
 """Last frame of a simulation at which a window may begin, as in training."""
 WINDOWS_A_SCENE = 24
+PLACED_A_SCENE = 4
+"""Windows of a scene in which a network places the balls, for the threshold of its certainty."""
 CLIP_FRAMES_BETWEEN = 3
 LEAST_VARIANCE = 1e-6
 """Relative to the largest: of few windows some numbers do not vary at all."""
@@ -123,18 +140,85 @@ def _fit(seen: Sequence[FrameStats]) -> tuple[np.ndarray, ...]:
     return thumbnail, components, mean, (axes / np.sqrt(variances)).T
 
 
+def fit_place_uncertainties(folders: Sequence[Path], scenes: int, workers: int) -> list[Manifest]:
+    """Fit, and write into artefacts, from which uncertainty of its place a ball counts as lost.
+
+    Artefacts without predicted covariances are left out, and quantised ones, which have that of
+    their original.
+
+    Parameters
+    ----------
+    folders
+        ``models/NAME/VERSION`` of models for a fixed number of balls.
+    scenes
+        Of the validation split for the threshold and of the test split for the false alarms.
+    """
+    manifests = [Manifest.read(folder / MANIFEST_FILE) for folder in folders]
+    return [
+        _fit_place_uncertainty(folder, scenes, workers)
+        for folder, manifest in zip(folders, manifests, strict=True)
+        if manifest.covariance.source == "predicted" and "quantised" not in manifest.training
+    ]
+
+
+def _fit_place_uncertainty(folder: Path, scenes: int, workers: int) -> Manifest:
+    manifest, network = load_exported(folder)
+    family = Family({manifest.name: network})
+    scale = (manifest.covariance.variance_scale or (1.0,))[0]
+    sources = _sources(manifest.simulated, manifest.objects)
+
+    def sigmas(split: Split) -> Float[np.ndarray, " windows"]:
+        """Return the standard deviation at t = 0 of the least certain ball of every window."""
+        found: list[np.ndarray] = []
+        for source in sources:
+            drawn = source_windows(
+                source, split, scenes, workers, PLACED_A_SCENE, manifest.final_step
+            )
+            made = forecast(family, list(drawn), 1, torch.device("cpu"))[manifest.name]
+            assert made.covariances is not None
+            found.append(np.linalg.eigvalsh(scale * made.covariances[:, :, 0])[..., -1].max(axis=1))
+        return np.sqrt(np.concatenate(found))
+
+    threshold = round(float(np.quantile(sigmas("validation"), 1 - FALSE_ALARMS)), 3)
+    fresh = sigmas("test")
+    known = PlaceUncertainty(
+        threshold_px=threshold,
+        false_alarm_rate=round(float(np.mean(fresh > threshold)), 4),
+        test_windows=len(fresh),
+    )
+    changed = Manifest.model_validate(dict(manifest) | {"place_uncertainty": known})
+    changed.write(folder / MANIFEST_FILE)
+    return changed
+
+
 def source_frame_stats(source: Source, split: Split, scenes: int, workers: int) -> list[FrameStats]:
     """Look at windows that begin at any time, under any of the square's symmetries."""
+    windows = source_windows(source, split, scenes, workers, WINDOWS_A_SCENE)
+    return [frame_stats(window.frames) for window in windows]
+
+
+def source_windows(
+    source: Source,
+    split: Split,
+    scenes: int,
+    workers: int,
+    a_scene: int,
+    final_step: int | None = None,
+) -> Iterator[Window]:
+    """Yield windows that begin at any time, under any of the square's symmetries.
+
+    Parameters
+    ----------
+    a_scene
+        Windows of every scene.
+    """
     recordings = load_recordings(simulate_split(source, split, scenes, workers))
-    maker = WindowMaker(recordings, final_step=None)
+    maker = WindowMaker(recordings, final_step)
     generator = np.random.default_rng(SEED)
-    seen: list[FrameStats] = []
     for index in range(len(recordings)):
-        for start in generator.integers(LATEST_START + 1, size=WINDOWS_A_SCENE):
+        for start in generator.integers(LATEST_START + 1, size=a_scene):
             symmetry = Symmetry(int(generator.integers(4)), bool(generator.integers(2)))
-            window = symmetry.apply(maker.window(index, int(start), horizon=1))
-            seen.append(frame_stats(window.frames))
-    return seen
+            yield symmetry.apply(maker.window(index, int(start), horizon=1))
 
 
 def clip_frame_stats(clips: Clips, *, symmetric: bool) -> list[FrameStats]:

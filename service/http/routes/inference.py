@@ -196,20 +196,20 @@ class Batch:
 
     def begin(self) -> DecodedRequest:
         """Parse the body."""
-        self._stages.next()
+        self._stages.begin("decode")
         text, binary = split(self._body, self._length)
         most, manifest = self._service.settings.max_batch, self._predictor.manifest
         numbers = most * prod(manifest.frames_shape)
         # Nested as the shape says, lists of three numbers among them, it has half as many lists.
         request = parse_json(text, InferRequest, MAX_VALUES + numbers + numbers // 2)
         self._query = read_query(request, binary, manifest, most)
-        self._stages.next()
+        self._stages.begin("encode")
         return DecodedRequest(self._predictor, self._query.frames, self._query.horizon)
 
     def step(self, index: int, outputs: Outputs) -> None:
         """Keep a step's outputs."""
         if index == 0:
-            self._stages.next()
+            self._stages.begin("rollout")
         self._steps.append(outputs)
 
     def finish(self) -> Message:

@@ -291,6 +291,60 @@ def test_a_large_image_that_cannot_be_read_fails_nobody_else(start, network):
     assert scheduler.idle
 
 
+class Replaced(Count):
+    """A job that another network begins anew after the first step."""
+
+    def __init__(self, network, begin, horizon, encoding=None, *, slow=False):
+        super().__init__(network, begin, horizon, encoding)
+        self.other = Counting()
+        self.slow = slow
+        self.was_replaced = False
+
+    def step(self, index, outputs):
+        if not self.was_replaced:
+            assert index == 0
+            self.was_replaced = True
+            instead = DecodedRequest(self.other, self.numbers + 1000, self.horizon)
+            return (lambda: instead) if self.slow else instead
+        return super().step(index, outputs)
+
+
+@pytest.mark.parametrize("slow", [False, True])
+@pytest.mark.parametrize("horizon", [1, 12])
+def test_another_network_may_begin_a_request_anew(start, network, slow, horizon):
+    scheduler = start(threads=1)
+    encoding = threading.Event()
+    replaced = Replaced(network, [5, 6], horizon, encoding, slow=slow)
+    beside = Count(network, [7], horizon, encoding)
+    answers = [scheduler.submit(job, CancellationToken()) for job in (replaced, beside)]
+    encoding.set()
+    steps = np.arange(horizon)
+    assert answers[0].result(SECONDS) == [list(1005 + steps), list(1006 + steps)]
+    assert answers[1].result(SECONDS) == beside.expected
+    assert replaced.other.encoded == [2]
+    assert scheduler.idle
+
+
+def test_a_request_that_fails_to_begin_anew_fails_alone(start, network):
+    class Failing(Count):
+        def step(self, index, outputs):
+            def decode():
+                raise ValueError("no image")
+
+            return decode
+
+    scheduler = start(threads=1)
+    encoding = threading.Event()
+    failing = scheduler.submit(Failing(network, [5], 3, encoding), CancellationToken())
+    beside = Count(network, [6], 3, encoding)
+    answered = scheduler.submit(beside, CancellationToken())
+    encoding.set()
+    assert answered.result(SECONDS) == beside.expected
+    with pytest.raises(ValueError, match="no image"):
+        failing.result(SECONDS)
+    assert scheduler.idle
+
+
 def test_one_failure_is_the_answer_of_one_request(start, network):
     class Failing(Count):
         def step(self, index, outputs):

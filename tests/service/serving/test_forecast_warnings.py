@@ -1,5 +1,7 @@
 """Reasons to trust a forecast less; those of the horizon and the rate are in test_predict.py."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -96,3 +98,62 @@ def test_auto_has_another_model_for_unfamiliar_frames_alone(start):
     version, told = answered(unlike, model="dot")
     assert version == 1
     assert len(told) == 1
+
+
+PLACED = {"threshold_px": 0.5, "false_alarm_rate": 0.004, "test_windows": 400}
+
+
+def of_lost_balls(start, sigma: float, *, robust: bool):
+    """A service of a model that knows the place to ``sigma``, and perhaps of a robust one."""
+    usual = samples.manifest(place_uncertainty=PLACED)
+    models = [Model("dot", 1, usual, samples.DotPredictor(usual, sigma=sigma))]
+    if robust:
+        other = samples.manifest(
+            version=2, default=False, random_appearances=True, validation_error_px=9.0,
+            place_uncertainty=PLACED,
+        )  # fmt: skip
+        models.append(Model("dot", 2, other, samples.DotPredictor(other, sigma=sigma)))
+    return start(lambda *_: Registry(models))
+
+
+def lost_warning(model: str, sigma: str) -> str:
+    return (
+        f"{model} has not found a ball surely: the standard deviation of its place at t = 0 is "
+        f"{sigma} px of 128, above 0.5 (false-alarm rate 0.4 %). The forecast may be of something "
+        "else."
+    )
+
+
+@pytest.mark.parametrize("stream", [False, True])
+def test_auto_has_another_model_look_for_balls_that_are_lost(start, stream):
+    client = of_lost_balls(start, 3, robust=True)
+    asked = samples.body(horizon=2)
+    if stream:
+        events = client.post("/predict/stream", json=asked).text.strip().split("\n\n")
+        *steps, done = [json.loads(event.split("data: ")[1]) for event in events]
+        assert [step["step"] for step in steps] == [0, 1]
+    else:
+        done = client.post("/predict", json=asked).json()
+        assert len(done["objects"][0]["positions"]) == 2
+    assert done["model"]["version"] == 2
+    assert done["warnings"][0] == lost_warning("dot@1", "3")
+    assert done["warnings"][1].startswith("dot@2 forecasts in place of dot@1")
+    # The other model has not found it either, and is replaced by none.
+    assert done["objects"][0]["warnings"] == [lost_warning("dot@2", "3")]
+    timing = done["timing_ms"]
+    assert timing["decode"] + timing["encode"] + timing["rollout"] == pytest.approx(timing["total"])
+
+
+def test_a_place_that_is_known_replaces_no_model(start):
+    client = of_lost_balls(start, 0.4, robust=True)
+    done = client.post("/predict", json=samples.body(horizon=2)).json()
+    assert (done["model"]["version"], done["warnings"]) == (1, [])
+    assert done["objects"][0]["warnings"] == []
+
+
+@pytest.mark.parametrize(("robust", "model"), [(False, "auto"), (True, "dot@1")])
+def test_a_lost_ball_carries_the_warning_where_no_model_replaces(start, robust, model):
+    client = of_lost_balls(start, 3, robust=robust)
+    done = client.post("/predict", json=samples.body(horizon=2, model=model)).json()
+    assert (done["model"]["version"], done["warnings"]) == (1, [])
+    assert done["objects"][0]["warnings"] == [lost_warning("dot@1", "3")]

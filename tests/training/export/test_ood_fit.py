@@ -11,8 +11,17 @@ from tests.training.conftest import HEMISPHERE
 from tests.training.export.test_export import ROOT
 from training.data.shards import SHARD_SCENES, load_recordings, simulate_split
 from training.data.windows import WindowMaker
+from training.export import ood_fit
 from training.export.export import hashes
-from training.export.ood_fit import FALSE_ALARMS, calibrate_threshold, fit, keep, source_frame_stats
+from training.export.ood_fit import (
+    FALSE_ALARMS,
+    PLACED_A_SCENE,
+    calibrate_threshold,
+    fit,
+    fit_place_uncertainties,
+    keep,
+    source_frame_stats,
+)
 
 
 @pytest.fixture(scope="module")
@@ -68,3 +77,19 @@ def test_an_artefact_keeps_it(familiarity, known, tmp_path):
     assert manifest.unfamiliar == unfamiliar
     assert manifest.files == hashes(folder)
     assert {EYE_FILE, FAMILIARITY_FILE} <= set(manifest.files)
+
+
+def test_balls_are_lost_where_their_place_is_less_certain_than_in_known_scenes(
+    runs, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(ood_fit, "_sources", lambda *_: [HEMISPHERE])
+    folder = shutil.copytree(ROOT / "models" / "fieldnet" / "1", tmp_path / "fieldnet" / "1")
+    posnet = shutil.copytree(ROOT / "models" / "posnet" / "1", tmp_path / "posnet" / "1")
+    (manifest,) = fit_place_uncertainties([folder, posnet], 4, 1)
+    assert Manifest.read(folder / MANIFEST_FILE) == manifest
+    known = manifest.place_uncertainty
+    assert known is not None
+    assert known.test_windows == 4 * PLACED_A_SCENE
+    # Balls of some 12 px are placed to fractions of a pixel, and nearly all of them are found.
+    assert 0.05 < known.threshold_px < 1
+    assert known.false_alarm_rate <= 4 / known.test_windows
