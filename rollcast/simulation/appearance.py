@@ -187,7 +187,7 @@ def draw_appearance(generator: np.random.Generator, *, strength: float = 1.0) ->
         surroundings=draw_ground(generator),
         lamp=_draw_lamp(generator),
         clutter=_draw_clutter(generator),
-        camera=_draw_camera(generator, strength),
+        camera=draw_camera(generator, strength),
         sensor=draw_sensor(generator, strength),
     )
 
@@ -312,7 +312,8 @@ def _draw_one_clutter(generator: np.random.Generator) -> Clutter:
     )  # fmt: skip
 
 
-def _draw_camera(generator: np.random.Generator, strength: float) -> CameraPose:
+def draw_camera(generator: np.random.Generator, strength: float = 1.0) -> CameraPose:
+    """Sample a pose of the camera; it is the paper's in two of five windows or more."""
     if generator.random() > 0.6 * strength:
         return CameraPose()
     similar = generator.random() < 0.6

@@ -16,13 +16,13 @@ from jaxtyping import Float
 from torch.utils.data import IterableDataset
 
 from rollcast.camera import BOWL_HALF_WIDTH_M, NETWORK_FRAME_SIZE, camera_for
-from rollcast.simulation.appearance import CameraPose, Clutter, draw_sensor
+from rollcast.simulation.appearance import CameraPose, Clutter, draw_camera, draw_sensor
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.data.ball_batch import MOST_BALLS, BallBatch, BallWindow, collate
-from training.data.painting.camera import posed_ground, posed_points, shaken
+from training.data.painting.camera import posed_frames, posed_ground, posed_points, shaken
 from training.data.painting.clutter import clutter_mask
 from training.data.painting.planar import draw_planar_scene, paint_planar_scene
-from training.data.painting.restyled import draw_restyling, render_restyled
+from training.data.painting.restyled import draw_restyling, render_restyled, visible_pose
 from training.data.painting.sensor import through_sensor
 from training.data.rest_height_map import MAP_CELLS
 from training.data.scene_cache import SceneCache
@@ -51,14 +51,14 @@ class BallLooks:
     Attributes
     ----------
     paper, filmed, restyled, planar
-        Windows of the paper's scenes as they are, through another camera's sensor, in other looks
-        altogether, and of planar scenes.
+        Windows of the paper's scenes as they are, from another camera, in other looks altogether,
+        and of planar scenes.
     """
 
-    paper: float = 0.25
-    filmed: float = 0.1
+    paper: float = 0.2
+    filmed: float = 0.2
     restyled: float = 0.25
-    planar: float = 0.4
+    planar: float = 0.35
 
 
 class BallWindowMaker:
@@ -83,7 +83,7 @@ class BallWindowMaker:
         if kind == "restyled":
             return self._restyled(generator, index, start)
         window = self.at(index, start)
-        return filmed(generator, window) if kind == "filmed" else window
+        return self._filmed(generator, index, window) if kind == "filmed" else window
 
     def truth(self, generator: np.random.Generator, latest_start: int) -> BallWindow:
         """Draw a window of a random scene in a random symmetry, without frames."""
@@ -98,6 +98,29 @@ class BallWindowMaker:
         radius = scene.radius_m / camera_for(scene.scenario, NETWORK_FRAME_SIZE).half_width_m
         return _known(window, radius, np.zeros((OBSERVED_FRAMES, 2)))
 
+    def _filmed(self, generator: np.random.Generator, index: int, window: BallWindow) -> BallWindow:
+        """Show a window from another place, through another sensor."""
+        scene = self._maker.recording(index).scene
+        bowl = scene.axis_ratio is not None
+        path = HALF + HALF * window.places.reshape(-1, 2)
+        pose = visible_pose(draw_camera(generator), path, bounded=bowl)
+        if pose != CameraPose():
+            beyond = np.broadcast_to(window.frames[-1, 0, 0], window.frames.shape[1:])
+            frames = posed_frames(
+                window.frames, pose, np.ascontiguousarray(beyond), mirrored=not bowl
+            )
+            window = self._posed(index, window._replace(frames=frames), pose)
+        return filmed(generator, window)
+
+    def _posed(self, index: int, window: BallWindow, pose: CameraPose) -> BallWindow:
+        """Transform the truth of a scene's window as a camera sees it."""
+        scene = self._maker.recording(index).scene
+        known = posed(window, pose, scene.radius_m)
+        if scene.scenario == "heightfield":
+            # Its walls are no longer where the frame ends.
+            known.centres[:, OBSERVED_FRAMES:] = np.nan
+        return known
+
     def _restyled(self, generator: np.random.Generator, index: int, start: int) -> BallWindow:
         recording = self._maker.recording(index)
         scene = recording.scene
@@ -110,11 +133,8 @@ class BallWindowMaker:
         still = np.zeros((OBSERVED_FRAMES, 2))
         known = _known(window, scene.radius_m / camera.half_width_m, still)
         if shown.pose != CameraPose():
-            known = posed(known, shown.pose, scene.radius_m)
+            known = self._posed(index, known, shown.pose)
         known = known._replace(frames=shown.frames, places=known.places + shown.shake / HALF)
-        if shown.pose != CameraPose() and scene.scenario == "heightfield":
-            # Its walls are no longer where the frame ends.
-            known.centres[:, OBSERVED_FRAMES:] = np.nan
         over = _over(style.appearance.clutter)
         room = MOST_BALLS - len(known.radii)
         for _, at, size in style.resting[:room]:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from rollcast.simulation.appearance import CameraPose
+from rollcast.simulation.appearance import CameraPose, draw_camera
 from training.data.ball_batch import MOST_BALLS, collate
 from training.data.ball_windows import (
     BallLooks,
@@ -13,6 +13,8 @@ from training.data.ball_windows import (
     posed,
     turned,
 )
+from training.data.painting.camera import unposed_points
+from training.data.painting.restyled import visible_pose
 from training.data.scene_cache import load_scene_cache
 from training.data.shards import SHARD_SCENES, Source, load_recordings, simulate_split
 
@@ -104,3 +106,26 @@ def test_collated_balls_are_padded(maker):
     batch = collate([maker.at(0, 10), planar_window(np.random.default_rng(1))])
     assert batch.there.sum(dim=1)[0] == 1
     assert batch.places[0, 1:].isnan().all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_camera_elsewhere_sees_nothing_beyond_the_frame_of_an_unbounded_ground(seed):
+    pose = draw_camera(np.random.default_rng(seed))
+    seen = visible_pose(pose, np.full((4, 2), 64.0), bounded=False)
+    corners = np.array([(0, 0), (0, 128), (128, 0), (128, 128)], float)
+    places = unposed_points(corners, seen)
+    assert places.min() > -0.5
+    assert places.max() < 128.5
+
+
+def test_filmed_windows_know_the_scale_of_their_camera(maker):
+    """The ball's radius in the picture is that of its metres at the scene's scale."""
+    scales = set()
+    for seed in range(30):
+        window = maker.window(np.random.default_rng(seed), "filmed", 60)
+        if np.isnan(window.scene).any():
+            continue
+        scales.add(round(float(window.scene[0]), 3))
+        half_width_m = window.scene[0] / 5 + 1.05
+        assert window.scene[1] / 5 / half_width_m == pytest.approx(window.radii[0])
+    assert len(scales) > 5

@@ -27,7 +27,7 @@ from rollcast.simulation.rendering import (
 from rollcast.surfaces import EllipsoidalBowl, surface_of
 from rollcast.trajectory import OBSERVED_FRAMES, Trajectory
 from training.data.painting.balls import BallPainter, cast_soft_shadow, paint_ball, random_rotation
-from training.data.painting.camera import posed_frames, posed_points, shaken
+from training.data.painting.camera import posed_frames, posed_points, shaken, unposed_points
 from training.data.painting.clutter import clutter_mask, paint_clutter
 from training.data.painting.ground import SIZE, paint_ground
 from training.data.painting.sensor import through_sensor
@@ -105,7 +105,7 @@ def draw_restyling(
     )
     appearance = replace(
         appearance,
-        camera=_visible_pose(appearance.camera, path_px, bounded=bowl),
+        camera=visible_pose(appearance.camera, path_px, bounded=bowl),
         clutter=tuple(c for c in appearance.clutter if not _hides(c, path_px, radius)),
     )
     return Restyling(
@@ -128,12 +128,37 @@ def _draw_resting(
     return None
 
 
-def _visible_pose(pose: CameraPose, path_px: np.ndarray, *, bounded: bool) -> CameraPose:
-    """Leave the camera where it is when the ball would be out of sight."""
-    if not bounded:  # there is no picture of what lies beyond its frame: turn it a little only
-        pose = replace(pose, rotation_rad=0.1 * pose.rotation_rad)
+def visible_pose(pose: CameraPose, path_px: np.ndarray, *, bounded: bool) -> CameraPose:
+    """Return the pose if the ball is in sight from there, or else the paper's.
+
+    Parameters
+    ----------
+    path_px
+        Places of the ball in the paper's frames.
+    bounded
+        Whether the frame shows all that there is.
+    """
+    if not bounded:
+        pose = _within(pose)
     seen = posed_points(path_px, pose)
     return pose if seen.min() > CLEAR_PX and seen.max() < SIZE - CLEAR_PX else CameraPose()
+
+
+def _within(pose: CameraPose) -> CameraPose:
+    """Turn and shift a camera less and bring it nearer until it sees the paper's frame alone.
+
+    There is no picture beyond that frame, and balls in a mirrored one would be unknown balls.
+    """
+    x, y = pose.offset
+    pose = replace(pose, offset=(0.4 * x, 0.4 * y), rotation_rad=0.1 * pose.rotation_rad)
+    along = np.linspace(0, SIZE, 5)
+    grid = np.stack(np.meshgrid(along, along), axis=-1)
+    for _ in range(_TRIES):
+        furthest = np.abs(unposed_points(grid, pose) - SIZE / 2).max() / (SIZE / 2)
+        if furthest <= 1:
+            break
+        pose = replace(pose, scale=1.02 * furthest * pose.scale)
+    return pose
 
 
 def _hides(thing: Clutter, path_px: np.ndarray, radius: float) -> bool:
