@@ -51,12 +51,13 @@ endef
 # $(call recorded,TARGET,COMMAND): a step whose end is recorded, and shown in docs/reliability.md.
 recorded = $(call step,$(1),.venv/uv/bin/python tools/record.py $(1) $(2))
 
-.PHONY: help serve test docs bench browser-test image-test cluster-test scaling lowest fuzz fuzz-api mutate faults soak sbom licences format lint environments lock clean
+.PHONY: help serve test wheels docs bench browser-test image-test cluster-test scaling lowest fuzz fuzz-api mutate faults soak sbom licences format lint environments lock clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make serve    serve the committed models on http://127.0.0.1:8000 (PORT=... picks another port)'
 	@echo 'make test     run every check and test'
+	@echo 'make wheels   build the package and its models as wheels, into build/wheels'
 	@echo 'make docs     build the documents into build/docs, check every link, execute the notebook'
 	@echo 'make bench    measure the service beside the bare loop; on a machine that does nothing else'
 	@echo 'make browser-test  try the page in a real browser; needs Debian'"'"'s chromium'
@@ -86,6 +87,11 @@ test: environments lint
 	$(call step,tests without torch,.venv/service-test/bin/python -m pytest $(or $(TORCH_FREE_TESTS),tests/service) $(PYTEST_ARGS))
 	$(call step,clients of the protocol,.venv/peers/bin/python -m pytest $(PROTOCOL_TESTS) $(PYTEST_ARGS))
 	@echo 'rollcast: every check and test passed'
+
+wheels:
+	@tools/environment.sh uv
+	@tools/wheels.sh build/wheels
+	@echo "rollcast: pip install --find-links build/wheels 'rollcast[serve]'"
 
 docs:
 	@tools/environment.sh service

@@ -1,4 +1,4 @@
-"""``python -m service``: serve the models of this checkout."""
+"""``python -m service``: serve the models of this checkout, or of the package of models."""
 
 import argparse
 import ipaddress

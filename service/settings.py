@@ -4,6 +4,7 @@ import math
 import os
 import re
 import textwrap
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
@@ -39,6 +40,8 @@ TRACE_RECEIVERS = {"OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_END
 """Variables of OpenTelemetry that say where traces go."""
 
 MEBI = 2**20
+MODELS_PACKAGE = "rollcast_models"
+"""The wheel of the committed models (``make wheels``)."""
 
 
 def keep_runtime_silent() -> None:
@@ -70,6 +73,26 @@ def share_metrics(folder: str) -> None:
 Origin: TypeAlias = Annotated[str, Field(pattern=r"^(\*|https?://[^/\s]+)$")]
 
 
+def default_models_dir() -> Path:
+    """Return the models folder of this checkout, or that of the package of models.
+
+    Raises
+    ------
+    ValueError
+        If there is neither.
+    """
+    checkout = Path(__file__).resolve().parents[1] / "models"
+    if checkout.is_dir():
+        return checkout
+    package = find_spec(MODELS_PACKAGE)
+    if package is None or not package.submodule_search_locations:
+        raise ValueError(
+            "there are no models: install the package rollcast-models, or name their folder with "
+            f"{PREFIX}MODELS_DIR"
+        )
+    return Path(package.submodule_search_locations[0])
+
+
 class Settings(BaseSettings):
     """Settings of the service. Unknown settings are an error in every source."""
 
@@ -77,8 +100,9 @@ class Settings(BaseSettings):
         env_prefix=PREFIX, frozen=True, extra="forbid", use_attribute_docstrings=True
     )
 
-    models_dir: DirectoryPath = Path(__file__).resolve().parents[1] / "models"
-    """Folder of the artefacts, ``NAME/VERSION/``."""
+    models_dir: DirectoryPath = Field(default_factory=default_models_dir)
+    """Folder of the artefacts, ``NAME/VERSION/``. By default that of the checkout, or else of the
+    package `rollcast-models`."""
     keys_file: FilePath | None = None
     """File of API keys, written by `python -m service.auth` and reloaded when it changes. Without
     it, requests need no key."""
@@ -224,7 +248,10 @@ def described() -> str:
     """Describe every setting and its default, one paragraph each."""
     parts: list[str] = []
     for name, field in Settings.model_fields.items():
-        default = field.get_default(call_default_factory=True, validated_data={})
+        try:
+            default = field.get_default(call_default_factory=True, validated_data={})
+        except ValueError:  # there are no models
+            default = None
         parts.append(f"{PREFIX}{name.upper()} (default {default})")
         parts.append(textwrap.indent(textwrap.fill(field.description or "", 84), 4 * " "))
     return "\n".join(parts)

@@ -1,4 +1,4 @@
-"""``rollcast serve``: the service of a checkout, or how to get one."""
+"""``rollcast serve``: the service of a checkout or of installed packages, or how to get one."""
 
 import os
 import sys
@@ -12,11 +12,11 @@ import typer
 from rollcast.commands.options import CommandError, Outcome, whole_number
 
 HELP = """\
-Serve the models of this checkout until stopped.
+Serve the models until stopped: those of this checkout, or of the package rollcast-models.
 
-The package does not include the service and the models: outside a checkout, the command prints
-how to start the container, and the exit code is 1. `python -m service --help` describes every
-setting.
+Outside a checkout, the extra serve installs what the service needs and the models. Without it, the
+command prints how to start the container, and the exit code is 1. `python -m service --help`
+describes every setting.
 
 \b
 Examples:
@@ -28,7 +28,8 @@ KEYS = (
     'API keys are made with docker run --rm --user "$(id -u):$(id -g)" -v ./keys:/keys '
     f"--entrypoint python {IMAGE} -m service.auth --file /keys/keys.json add NAME"
 )
-CHECKOUT = Path(__file__).resolve().parents[2]
+PACKAGES = Path(__file__).resolve().parents[2]
+"""Folder of ``rollcast`` and ``service``: a checkout, or that of installed packages."""
 
 
 def serve(
@@ -46,24 +47,45 @@ def serve(
     ] = 8000,
 ) -> Outcome:
     """Become the service, if it is here."""
-    if is_checkout(CHECKOUT):
-        python = _python(CHECKOUT)
-        os.chdir(CHECKOUT)
+    python = service_python(PACKAGES)
+    if python is not None:
+        if is_checkout(PACKAGES):
+            os.chdir(PACKAGES)
         os.execv(python, [python, "-m", "service", "--host", host, "--port", str(port)])
+    if is_checkout(PACKAGES):
+        raise CommandError(
+            "the service's packages are not installed; make serve installs them and serves"
+        )
     return Outcome(
         container_command(host, port),
         [
-            "the service is not part of the package; start its container with the command below, "
-            f"after building it in a checkout with docker build -f docker/service.Dockerfile -t "
-            f"{IMAGE} ." + ("" if _is_loopback(host) else f"; {KEYS}")
+            "the service's packages are not installed: pip install 'rollcast[serve]' installs them "
+            "and the models. Or start the container with the command below, after building it in a "
+            f"checkout with docker build -f docker/service.Dockerfile -t {IMAGE} ."
+            + ("" if _is_loopback(host) else f"; {KEYS}")
         ],
         code=1,
     )
 
 
 def is_checkout(root: Path) -> bool:
-    """Return whether the service lies beside the package."""
-    return (root / "service" / "__main__.py").is_file()
+    """Return whether a folder is that of the project, not one of installed packages."""
+    return (root / "pyproject.toml").is_file()
+
+
+def service_python(root: Path) -> str | None:
+    """Return an interpreter with the packages of the service, if there is one.
+
+    Parameters
+    ----------
+    root
+        Folder of the packages.
+    """
+    made = root / ".venv" / "service" / "bin" / "python"
+    if made.is_file():
+        return str(made)
+    needed = ("service", "fastapi", "onnxruntime")
+    return sys.executable if all(map(find_spec, needed)) else None
 
 
 def container_command(host: str, port: int) -> str:
@@ -87,15 +109,3 @@ def _is_loopback(host: str) -> bool:
         return ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
-
-
-def _python(root: Path) -> str:
-    """Return an interpreter with the packages of the service."""
-    made = root / ".venv" / "service" / "bin" / "python"
-    if made.is_file():
-        return str(made)
-    if find_spec("fastapi") and find_spec("onnxruntime"):
-        return sys.executable
-    raise CommandError(
-        "the service's packages are not installed; make serve installs them and serves"
-    )

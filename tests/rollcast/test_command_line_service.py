@@ -254,7 +254,7 @@ def test_outside_a_checkout_serve_prints_the_containers_command(tmp_path):
     )
     assert run.returncode == 1
     assert "-p 127.0.0.1:9000:8000" in run.stdout  # that it serves: tests/e2e/test_deployment.py
-    assert "not part of the package" in run.stderr
+    assert "pip install 'rollcast[serve]'" in run.stderr  # that it works: tests/e2e/test_wheels.py
     assert run.stderr.count("\n") == 1
     assert not is_checkout(tmp_path)
     assert is_checkout(package.parent)
@@ -297,7 +297,7 @@ Options:
   -h, --help            Show this message and exit.
 
 Commands:
-  serve     Serve the models of this checkout until stopped.
+  serve     Serve the models until stopped: those of this checkout, or of the package...
   predict   Forecast balls in a video or in images.
   simulate  Simulate a scene: its frames and the true path.
   track     Track balls in clips from an overhead camera.
@@ -430,11 +430,11 @@ Options:
     assert texts["serve"] == snapshot("""\
 Usage: rollcast serve [OPTIONS]
 
-  Serve the models of this checkout until stopped.
+  Serve the models until stopped: those of this checkout, or of the package rollcast-models.
 
-  The package does not include the service and the models: outside a checkout, the command prints
-  how to start the container, and the exit code is 1. `python -m service --help` describes every
-  setting.
+  Outside a checkout, the extra serve installs what the service needs and the models. Without it,
+  the command prints how to start the container, and the exit code is 1. `python -m service
+  --help` describes every setting.
 
   Examples:
     rollcast serve

@@ -18,6 +18,7 @@ LOCK = tomllib.loads((ROOT / "uv.lock").read_text())
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 INDEX = "https://pypi.org/simple"
 FILES = "https://files.pythonhosted.org/packages/"
+OURS = {"rollcast", "rollcast-models"}
 UV = ROOT / ".venv/uv/bin/uv"
 MOST_ENVIRONMENTS = 6
 PICKLES = {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}
@@ -51,7 +52,7 @@ def exported(*extras: str) -> dict[str, str]:
 
 
 def test_every_package_is_locked_by_hash():
-    others = [package for package in LOCK["package"] if package["name"] != "rollcast"]
+    others = [package for package in LOCK["package"] if package["name"] not in OURS]
     assert len(others) > 200
     for package in others:
         files = [*package.get("wheels", []), *filter(None, [package.get("sdist")])]
@@ -62,9 +63,7 @@ def test_every_package_is_locked_by_hash():
 
 def test_the_lock_names_the_public_index_alone():
     sources = {
-        json.dumps(package["source"])
-        for package in LOCK["package"]
-        if package["name"] != "rollcast"
+        json.dumps(package["source"]) for package in LOCK["package"] if package["name"] not in OURS
     }
     assert sources == {json.dumps({"registry": INDEX})}
     addresses = re.findall(r"\w+://[^\"]*", (ROOT / "uv.lock").read_text())
