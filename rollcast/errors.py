@@ -60,6 +60,10 @@ class FootageError(RollcastError):
     """A video or an image file cannot be read as requested."""
 
 
+class DatasetError(RollcastError):
+    """A file is not a data set of scenes, or a data set has no frames."""
+
+
 class CropError(FootageError):
     """A crop does not lie inside the picture."""
 

@@ -388,6 +388,7 @@ Exception
       UnexpectedAnswerError
       UnreachableError
         RequestTimeoutError
+    DatasetError
     FootageError
       CropError
       FootageEndedError
