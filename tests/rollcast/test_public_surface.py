@@ -234,12 +234,9 @@ class Client(
     ) -> rollcast.client.results.Simulation
 Crop = Literal['square']
 class Forecast(
-        positions: jaxtyping.Float64[ndarray, 'objects T 2'],
-        covariances: jaxtyping.Float64[ndarray, 'objects T 2 2'],
+        outputs: Mapping[str, numpy.ndarray],
         covariance_source: Literal['predicted', 'empirical'],
         ellipse50_radii: jaxtyping.Float64[ndarray, 'T'],
-        angular_velocities: jaxtyping.Float64[ndarray, 'objects T 3'] | None,
-        final_positions: jaxtyping.Float64[ndarray, 'objects 2'] | None,
         times_s: jaxtyping.Float64[ndarray, 'T'],
         colors: tuple[str, ...],
         scores: jaxtyping.Float64[ndarray, 'objects'] | None,
@@ -253,6 +250,9 @@ class Forecast(
         warnings: tuple[str, ...],
         timing_ms: rollcast.schemas.PredictTiming,
     ) -> None
+    angular_velocities: jaxtyping.Float64[ndarray, 'objects T 3'] | None
+    covariances: jaxtyping.Float64[ndarray, 'objects T 2 2']
+    final_positions: jaxtyping.Float64[ndarray, 'objects 2'] | None
     def from_events(
         steps: Sequence[rollcast.schemas.StreamStep],
         done: rollcast.schemas.StreamDone,
@@ -268,6 +268,7 @@ class Forecast(
         crop: Optional[Literal['square']] = None,
         panels: int = 6,
     ) -> PIL.Image.Image
+    positions: jaxtyping.Float64[ndarray, 'objects T 2']
     def save(
         self,
         path: pathlib.Path | str,
@@ -286,13 +287,14 @@ class ForecastStep(
         step: int,
         time_s: float,
         ellipse50_radius: float,
-        positions: jaxtyping.Float64[ndarray, 'objects 2'],
-        covariances: jaxtyping.Float64[ndarray, 'objects 2 2'],
-        angular_velocities: jaxtyping.Float64[ndarray, 'objects 3'] | None,
+        outputs: Mapping[str, numpy.ndarray],
     ) -> None
+    angular_velocities: jaxtyping.Float64[ndarray, 'objects 3'] | None
+    covariances: jaxtyping.Float64[ndarray, 'objects 2 2']
     def from_event(
         event: rollcast.schemas.StreamStep,
     ) -> Self
+    positions: jaxtyping.Float64[ndarray, 'objects 2']
 class ForecastStream(
         client: rollcast.client.sync.Client,
         frames: Frames | pathlib.Path | str,

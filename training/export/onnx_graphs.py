@@ -20,10 +20,9 @@ from rollcast.manifest import (
     EYE_FILE,
     FRAMES_INPUT,
     NEXT_PREFIX,
-    OUTPUT_SHAPES,
     STEP_FILE,
-    OutputName,
 )
+from rollcast.outputs import SPECS, OutputName
 from rollcast.perception_io import FINALS, PLACES, run_perception
 from rollcast.rollout import Arrays, Step, roll_out
 from rollcast.trajectory import OBSERVED_FRAMES
@@ -131,7 +130,8 @@ def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
         write_graph(encoder, (frames,), [FRAMES_INPUT], encoded, folder / ENCODER_FILE)
     with torch.inference_mode():
         state = tuple(predictor.start(frames))
-    stepped = [*(NEXT_PREFIX + name for name in STATE_NAMES), *_of_a_step(outputs)]
+    of_steps = [name for name in outputs if SPECS[name].is_per_step]
+    stepped = [*(NEXT_PREFIX + name for name in STATE_NAMES), *of_steps]
     write_graph(StepGraph(predictor), state, list(STATE_NAMES), stepped, folder / STEP_FILE)
 
 
@@ -234,28 +234,16 @@ def run_step(session: "InferenceSession", inputs: Arrays) -> Step:
     """Return the state and the outputs of an encoder or a step."""
     names = [one.name for one in session.get_outputs()]
     values = dict(zip(names, session.run(names, dict(inputs)), strict=True))
-    return Step.split(values, [name for name in OUTPUT_SHAPES if name in values])
+    return Step.split(values, [name for name in SPECS if name in values])
 
 
 def present(observation: Observation) -> tuple[Tensor, ...]:
     """Return the outputs that a network has, in their order."""
-    outputs = observation._replace(reading=None)
-    return tuple(part for part in outputs if isinstance(part, Tensor))
+    return tuple(observation.outputs().values())
 
 
 def first_observation(predictor: Network, frames: Tensor) -> dict[OutputName, Tensor]:
     """First observation by output name, without what the network does not have."""
     with torch.inference_mode():
         observation = predictor.observe_first(predictor.start(frames))
-    named: dict[OutputName, Tensor | None] = {
-        "positions": observation.positions,
-        "covariances": observation.covariances,
-        "angular_velocities": observation.angular_velocities,
-        "final_positions": observation.final_positions,
-    }
-    return {name: value for name, value in named.items() if value is not None}
-
-
-def _of_a_step(outputs: Sequence[OutputName]) -> list[OutputName]:
-    """Return the step graph's outputs: the final position is said by the encoder alone."""
-    return [name for name in outputs if name != "final_positions"]
+    return observation.outputs()

@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
+from rollcast.outputs import OUTPUTS, SPECS, OutputName
 from training.networks.blocks import PIXEL_UNIT
 
 ANGULAR_VELOCITY_UNIT = 20.0
@@ -73,6 +74,11 @@ class Observation(NamedTuple):
     angular_velocities: Tensor | None
     final_positions: Tensor | None = None
     reading: Reading | None = None
+
+    def outputs(self) -> dict[OutputName, Tensor]:
+        """Return the outputs that the network has, by name, in the order of ``OUTPUTS``."""
+        values = {spec.name: getattr(self, spec.name) for spec in OUTPUTS}
+        return {name: value for name, value in values.items() if value is not None}
 
 
 class Motion(Protocol):
@@ -357,28 +363,16 @@ class SharedStateFamily(Family):
 
 def in_float32(observation: Observation) -> Observation:
     """Return an observation whose tensors are float32, for a loss under autocast."""
-    covariances, spin, final = observation[1:4]
-    return Observation(
-        observation.positions.float(),
-        None if covariances is None else covariances.float(),
-        None if spin is None else spin.float(),
-        None if final is None else final.float(),
-        observation.reading,
+    return observation._replace(
+        **{name: value.float() for name, value in observation.outputs().items()}
     )
 
 
 def stacked(steps: Sequence[Observation]) -> Observation:
     """Stack the steps' observations after the objects' axis."""
-    return Observation(
-        torch.stack([step.positions for step in steps], dim=2),
-        _stacked([step.covariances for step in steps]),
-        _stacked([step.angular_velocities for step in steps]),
-        steps[0].final_positions,
-        steps[0].reading,
-    )
-
-
-def _stacked(steps: Sequence[Tensor | None]) -> Tensor | None:
-    """Stack an output's steps; None when the network has no such output."""
-    present = [step for step in steps if step is not None]
-    return torch.stack(present, dim=2) if present else None
+    paths = {
+        name: torch.stack([getattr(step, name) for step in steps], dim=2)
+        for name in steps[0].outputs()
+        if SPECS[name].is_per_step
+    }
+    return steps[0]._replace(**paths)
