@@ -182,11 +182,9 @@ class PredictRequest(RequestBody):
     are composed on white."""
     final_frame: EncodedImage | None = None
     """A frame of the same size that shows step ``final_step`` of the model."""
-    final_step: Annotated[Integer, Field(ge=1)] | None = None
-    """Step that the final frame shows; only the model's own is accepted."""
     horizon: Annotated[Integer, Field(ge=1, le=MAX_HORIZON)] | None = None
     """Number of steps, t = 0..horizon-1: 40 by default, with a final frame ``final_step`` + 1."""
-    objects: Annotated[Integer, Field(ge=1, le=MAX_BALLS)] | None = None
+    num_objects: Annotated[Integer, Field(ge=1, le=MAX_BALLS)] | None = None
     """Number of balls: by default the named model's, with "auto" one. A model for any number of
     balls follows, by default, those that move."""
     balls: Annotated[
@@ -361,7 +359,7 @@ class SimulateRequest(RequestBody):
     scenario: Scenario
     seed: Annotated[Integer, Field(ge=0, le=MAX_SEED)]
     """The same seed gives the same bytes."""
-    objects: ObjectCount | None = None
+    num_objects: ObjectCount | None = None
     """Number of balls: by default that of ``scene.positions_m``, else one."""
     steps: Annotated[Integer, Field(ge=MIN_STEPS, le=MAX_STEPS)] = OBSERVED_FRAMES + DEFAULT_HORIZON
     start_step: Annotated[Integer, Field(ge=0, le=MAX_STEPS)] | None = None
@@ -379,7 +377,7 @@ class SimulateRequest(RequestBody):
     @property
     def balls(self) -> int:
         """Number of balls that is asked for."""
-        return self.objects or len(self.scene.positions_m or (None,))
+        return self.num_objects or len(self.scene.positions_m or (None,))
 
     @model_validator(mode="before")
     @classmethod
@@ -419,10 +417,10 @@ class SimulateRequest(RequestBody):
         if positions is not None and len(positions) != self.balls:
             raise PydanticCustomError(
                 "balls_differ",
-                "objects and scene.positions_m differ",
+                "num_objects and scene.positions_m differ",
                 {
-                    "field": "objects",
-                    "value": self.objects,
+                    "field": "num_objects",
+                    "value": self.num_objects,
                     "expected": f"{len(positions)}, the number of scene.positions_m",
                 },
             )

@@ -83,7 +83,7 @@ def typed(
     """Return a request's body with the types of the schema; forms send numbers as text."""
     if not frames:
         return dict(fields)
-    numbers = {"horizon": int, "objects": int, "final_step": int, "frame_rate": float}
+    numbers = {"horizon": int, "num_objects": int, "frame_rate": float}
     values: dict[str, Any] = {name: numbers.get(name, str)(value) for name, value in fields.items()}
     return {**values, "frames": list(frames), "final_frame": final_frame}
 
@@ -103,12 +103,13 @@ def forecast(
     """
     size = _size(wish.frames, square=wish.balls is None)
     side = max(size)
-    objects = wish.objects if wish.balls is None else len(wish.balls)
-    if wish.objects not in (None, objects):
-        raise RefusalError(_wrong("objects", wish.objects, f"{objects}, the number of balls"))
+    objects = wish.num_objects if wish.balls is None else len(wish.balls)
+    if wish.num_objects not in (None, objects):
+        raise RefusalError(
+            _wrong("num_objects", wish.num_objects, f"{objects}, the number of balls")
+        )
     if positions is None:
-        between = None if wish.final_step is None else wish.final_step + 1
-        horizon = wish.horizon or between or DEFAULT_HORIZON
+        horizon = wish.horizon or DEFAULT_HORIZON
         indices = FIRST_FORECAST_FRAME + np.arange(horizon)
         starts = _starts(wish.balls, objects or 1, side)
         positions = starts[:, None] + (indices - FIRST_FORECAST_FRAME)[:, None] * side * VELOCITY
@@ -118,7 +119,7 @@ def forecast(
             _wrong("horizon", horizon, f"at most {positions.shape[1]}, as many as given")
         )
     if objects not in (None, len(positions)):
-        raise RefusalError(_wrong("objects", objects, f"{len(positions)}, as many as given"))
+        raise RefusalError(_wrong("num_objects", objects, f"{len(positions)}, as many as given"))
     rate = wish.frame_rate or FRAME_RATE_HZ
     return PredictResponse(
         model=ModelReference(name=NAME, version=1, variant=NAME, trained_horizon=TRAINED_HORIZON),

@@ -46,7 +46,7 @@ def simulate(
         int,
         typer.Option(parser=whole_number(0, MAX_SEED), metavar="SEED", help="seed of the scene"),
     ] = 0,
-    objects: Annotated[
+    num_objects: Annotated[
         int,
         typer.Option(parser=whole_number(1, MAX_OBJECTS), metavar="BALLS", help="number of balls"),
     ] = 1,
@@ -81,7 +81,7 @@ def simulate(
         simulation = service.simulate(
             scenario,
             seed=seed,
-            objects=objects,
+            num_objects=num_objects,
             steps=steps,
             image_size=size,
             include_frames=out is not None,

@@ -1,6 +1,6 @@
 """``python -m service.auth``: make, list and remove API keys."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -94,7 +94,7 @@ def _known_scope(text: str) -> Scope:
 
 
 @contextmanager
-def _key_file(context: typer.Context) -> Iterator[tuple[Path, KeyFile]]:
+def _key_file(context: typer.Context) -> Generator[tuple[Path, KeyFile]]:
     """Yield the path and the keys of the file, locked; errors end the command with exit code 1."""
     path: Path = context.obj
     try:

@@ -106,10 +106,10 @@ class _Forecast:
         self._stages.begin("decode")
         final_frame = request.final_frame is not None
         prompted = request.balls is not None
-        self._number = request.objects if request.balls is None else len(request.balls)
-        if request.objects not in (None, self._number):
+        self._number = request.num_objects if request.balls is None else len(request.balls)
+        if request.num_objects not in (None, self._number):
             expected = f"{self._number}, the number of balls"
-            raise InvalidValueError.at("objects", request.objects, expected)
+            raise InvalidValueError.at("num_objects", request.num_objects, expected)
         opened = _open(request, self._token.raise_if_cancelled)
         square = request.model != AUTO_MODEL or opened.is_square
         query = ModelQuery(
@@ -385,13 +385,8 @@ class StreamedForecast(_Forecast):
 def _horizon(request: PredictRequest, manifest: Manifest) -> int:
     """Return the number of steps, which a final frame fixes."""
     if manifest.final_step is None:
-        if request.final_step is not None:
-            raise InvalidValueError.at("final_step", request.final_step, "a final_frame with it")
         return request.horizon or DEFAULT_HORIZON
     fixed = manifest.final_step + 1
-    if request.final_step not in (None, manifest.final_step):
-        expected = f"{manifest.final_step}, the step that {manifest.label} is made for"
-        raise InvalidValueError.at("final_step", request.final_step, expected)
     if request.horizon not in (None, fixed):
         expected = f"{fixed}, final_step + 1 of {manifest.label}"
         raise InvalidValueError.at("horizon", request.horizon, expected)

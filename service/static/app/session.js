@@ -55,7 +55,7 @@ export class Session {
     const isSlow = isSlowLink() && this.finalIndex === null;
     const asked = {
       scenario,
-      objects: balls,
+      num_objects: balls,
       seed: asNumber(seed),
       image_size: isSlow ? SMALL_IMAGE_SIZE : IMAGE_SIZE,
     };
