@@ -51,7 +51,7 @@ def add(
     ] = None,
 ) -> None:
     """Create a key and print it once; the file stores only its hash."""
-    granted = [_known_scope(scope) for scope in scopes or ["forecast"]]
+    granted: list[Scope] = [_known_scope(scope) for scope in scopes or ["forecast"]]
     with _key_file(context) as (path, known):
         if any(key.name == name for key in known.keys):
             raise ValueError(f"has a key {name!r} already")
