@@ -28,14 +28,14 @@ from rollcast.rollout import Arrays, Step, roll_out
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.common.settings import keep_runtime_silent
 from training.export.weight_rounding import rename, store_in_bytes
-from training.networks.perception import Eye, EyedNetwork, looked
-from training.networks.recurrent import Network, Observation, Reading, State
+from training.networks.perception import Eye, PerceptionNetwork, looked
+from training.networks.recurrent import Network, Observation, PerceptionOutput, State
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 STATE_NAMES = State._fields
-READ_NAMES = Reading._fields[1:-1]
+READ_NAMES = PerceptionOutput._fields[1:-1]
 """What an encoder reads; where a final frame is seen, the places there too."""
 _OWN_PREFIX = "network."
 
@@ -56,7 +56,7 @@ class EyeGraph(torch.nn.Module):
 class ReadEncoderGraph(torch.nn.Module):
     """Encoder graph of a network with a separate perception graph."""
 
-    def __init__(self, network: EyedNetwork) -> None:
+    def __init__(self, network: PerceptionNetwork) -> None:
         super().__init__()
         self.network = network
 
@@ -71,7 +71,7 @@ class ReadEncoderGraph(torch.nn.Module):
         finals: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
         """Turn what was read into the state and the first observation, as positional tensors."""
-        reading = Reading((), ground, measures, centres, velocities, spins, features)
+        reading = PerceptionOutput((), ground, measures, centres, velocities, spins, features)
         state = self.network.begin(reading, finals)
         return *state, *present(self.network.observe_first(state))
 
@@ -112,7 +112,7 @@ def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
     """
     outputs = list(first_observation(predictor, frames))
     encoded = [*STATE_NAMES, *outputs]
-    if isinstance(predictor, EyedNetwork):
+    if isinstance(predictor, PerceptionNetwork):
         (eye,) = (EyeGraph(part) for part in predictor.modules() if isinstance(part, Eye))
         seen, read_names = (frames[:, :OBSERVED_FRAMES],), [PLACES, *READ_NAMES]
         write_graph(eye, seen, [FRAMES_INPUT], read_names, folder / EYE_FILE)

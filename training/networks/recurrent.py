@@ -28,7 +28,7 @@ class State(NamedTuple):
     p: Tensor
 
 
-class Sight(NamedTuple):
+class InitialState(NamedTuple):
     """What a forecast of a network with an eye begins with: read of the frames, or true."""
 
     state: State
@@ -38,7 +38,7 @@ class Sight(NamedTuple):
     is seen, or where the state knows them."""
 
 
-class Reading(NamedTuple):
+class PerceptionOutput(NamedTuple):
     """What an eye reads from the frames (``eye.py``); a forecast carries it for its loss alone.
 
     Halves of the frame in image axes (x right, y down, z towards the camera); rad/s / 20.
@@ -73,7 +73,7 @@ class Observation(NamedTuple):
     covariances: Tensor | None
     angular_velocities: Tensor | None
     final_positions: Tensor | None = None
-    reading: Reading | None = None
+    reading: PerceptionOutput | None = None
 
     def outputs(self) -> dict[OutputName, Tensor]:
         """Return the outputs that the network has, by name, in the order of ``OUTPUTS``."""
@@ -293,15 +293,15 @@ class Family(nn.Module):
         return {name: member(frames_BKHW3, horizon) for name, member in self.networks().items()}
 
 
-class EyedFamily(Family, ABC):
+class PerceptionFamily(Family, ABC):
     """Networks that can begin without frames: with what their eye read before, or the truth."""
 
     @abstractmethod
-    def sight(self, frames_BKHW3: Tensor) -> Sight:
+    def sight(self, frames_BKHW3: Tensor) -> InitialState:
         """Return what the eye reads of the frames."""
 
     @abstractmethod
-    def practise(self, sight: Sight, horizon: int) -> dict[str, Observation]:
+    def forecast_from(self, sight: InitialState, horizon: int) -> dict[str, Observation]:
         """Observations of the steps 0..horizon-1 of every member."""
 
 
