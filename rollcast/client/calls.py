@@ -74,7 +74,7 @@ class SimulationOptions(TypedDict, total=False):
     num_objects: Integer | None
     """Number of balls."""
     steps: Integer
-    """Frames, 40 a second."""
+    """Frames, at the frame rate of simulations."""
     start_step: Integer | None
     """First step, counted from the start of the simulation."""
     image_size: Integer

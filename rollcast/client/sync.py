@@ -267,7 +267,7 @@ class Client:
         num_objects
             Number of balls, by default that of ``scene``, else one.
         steps
-            Frames, 40 a second.
+            Frames, at the frame rate of simulations.
         start_step
             First step, counted from the start of the simulation; by default the test start.
         image_size

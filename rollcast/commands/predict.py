@@ -55,9 +55,9 @@ def predict(
         list[Path],
         typer.Argument(
             metavar="VIDEO|FOLDER|IMAGES",
-            help="a video, from which four frames are read, at 40 per second or at the model's "
-            "rate (interpolated where the camera has none); or a folder of images, or at least "
-            "four images",
+            help=f"a video, from which four frames are read, at {FRAME_RATE_HZ} per second or at "
+            "the model's rate (interpolated where the camera has none); or a folder of images, or "
+            "at least four images",
             show_default=False,
         ),
     ],
