@@ -9,10 +9,19 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field, JsonValue, model_validator
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    BaseModel,
+    ConfigDict,
+    Field,
+    JsonValue,
+    model_validator,
+)
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.files import read_regular_file
+from rollcast.outputs import SPECS, OutputName
 from rollcast.scene import COLORS, MAX_BALLS, MAX_FORECAST_OBJECTS, BallColor, Domain, Scenario
 from rollcast.trajectory import OBSERVED_FRAMES
 
@@ -44,16 +53,14 @@ SCENE_INPUTS = ("ground", "scene")
 NEXT_PREFIX = "next_"
 """The step graph reads the state as NAME and returns it as next_NAME."""
 
-OutputName = Literal["positions", "covariances", "angular_velocities", "final_positions"]
 
-OUTPUT_SHAPES: dict[OutputName, tuple[int, ...]] = {
-    "positions": (2,),
-    "covariances": (2, 2),
-    "angular_velocities": (3,),
-    "final_positions": (2,),
-}
-"""Shape of each output behind [B, N]; all are float32."""
+def _known(name: OutputName) -> OutputName:
+    if name not in SPECS:
+        raise ValueError(f"expected one of {', '.join(SPECS)}")
+    return name
 
+
+KnownOutput = Annotated[OutputName, AfterValidator(_known)]
 Matrix2 = tuple[tuple[float, float], tuple[float, float]]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Positive = Annotated[float, Field(gt=0)]
@@ -75,7 +82,7 @@ class StateTensor(_Part):
 class Output(_Part):
     """One output of the graphs, float32."""
 
-    name: OutputName
+    name: KnownOutput
     shape: tuple[int, ...]
     """Without the batch axis: [objects, ...]."""
     unit: str
@@ -142,9 +149,9 @@ class MetricRow(_Part):
 class Parity(_Part):
     """Proof that the exported graphs compute what torch computes."""
 
-    max_abs_error: dict[OutputName, float]
+    max_abs_error: dict[KnownOutput, float]
     """Over batch sizes and horizons, in each output's own unit."""
-    tolerance: dict[OutputName, float]
+    tolerance: dict[KnownOutput, float]
 
 
 class Unfamiliar(_Part):
@@ -222,7 +229,7 @@ class Manifest(_Part):
     """Mean position error over all scenarios, validation split, at T = 20 for one ball and T = 15
     for several, whatever the trained horizon: "auto" compares this number alone."""
     parity: Parity
-    golden_tolerance: dict[OutputName, Positive]
+    golden_tolerance: dict[KnownOutput, Positive]
     """Largest absolute difference from golden.npz at which the model is served."""
     setup: CameraSetup | None = None
     """Of models for footage, and of them alone."""
@@ -243,14 +250,17 @@ class Manifest(_Part):
         shapes: dict[OutputName, tuple[int, ...]] = {
             output.name: output.shape for output in self.outputs
         }
-        wanted: set[OutputName] = {"positions"}
-        wanted |= {"covariances"} if self.covariance.source == "predicted" else set()
-        wanted |= {"angular_velocities"} if self.angular_velocity else set()
-        wanted |= {"final_positions"} if self.final_step is not None else set()
+        has: dict[OutputName, bool] = {
+            "positions": True,
+            "covariances": self.covariance.source == "predicted",
+            "angular_velocities": self.angular_velocity,
+            "final_positions": self.final_step is not None,
+        }
+        wanted = {name for name in SPECS if has.get(name, name in shapes)}
         if set(shapes) != wanted or len(self.outputs) != len(wanted):
             raise ValueError(f"outputs are {sorted(shapes)}, expected {sorted(wanted)}")
         for name, shape in shapes.items():
-            if shape != (self.objects, *OUTPUT_SHAPES[name]):
+            if shape != (self.objects, *SPECS[name].shape):
                 raise ValueError(f"output {name} has shape {shape} for {self.objects} objects")
         if (self.final_step is not None) != (self.frames == OBSERVED_FRAMES + 1):
             raise ValueError(f"final_step is {self.final_step} with {self.frames} frames")
@@ -329,8 +339,8 @@ class Manifest(_Part):
 
     @property
     def step_output_names(self) -> tuple[OutputName, ...]:
-        """Names of the step graph's outputs: the final position is the encoder's alone."""
-        return tuple(name for name in self.output_names if name != "final_positions")
+        """Names of the step graph's outputs, those of every step."""
+        return tuple(name for name in self.output_names if SPECS[name].is_per_step)
 
     @property
     def frames_shape(self) -> tuple[int, int, int, int]:

@@ -10,7 +10,8 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from rollcast.manifest import NEXT_PREFIX, OutputName
+from rollcast.manifest import NEXT_PREFIX
+from rollcast.outputs import SPECS, OutputName
 
 Arrays = Mapping[str, np.ndarray]
 Outputs = Mapping[OutputName, np.ndarray]
@@ -67,10 +68,8 @@ def roll_on(
 
 
 def stacked(rows: Sequence[Outputs]) -> dict[OutputName, Float32[np.ndarray, "B N T ..."]]:
-    """Stack the outputs of all steps along a new third axis; a final position has no steps."""
+    """Stack the outputs of all steps along a new third axis, where they belong to steps."""
     return {
-        name: rows[0][name]
-        if name == "final_positions"
-        else np.stack([row[name] for row in rows], axis=2)
-        for name in rows[0]
+        name: np.stack([row[name] for row in rows], axis=2) if SPECS[name].is_per_step else first
+        for name, first in rows[0].items()
     }

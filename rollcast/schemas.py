@@ -6,6 +6,7 @@ t = 0 is the last observed frame.
 """
 
 import binascii
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import (
@@ -16,10 +17,12 @@ from pydantic import (
     JsonValue,
     Strict,
     WithJsonSchema,
+    create_model,
     model_validator,
 )
 from pydantic_core import PydanticCustomError, from_json
 
+from rollcast.outputs import FORECAST_OUTPUTS, STEP_OUTPUTS, OutputSpec
 from rollcast.scene import (
     MAX_BALLS,
     MAX_OBJECTS,
@@ -86,6 +89,7 @@ Vector = tuple[Number, Number, Number]
 Matrix = tuple[Point, Point]
 Size = tuple[int, int]
 Item = TypeVar("Item")
+Body = TypeVar("Body", bound="ResponseBody")
 PerBall = Annotated[tuple[Item, ...], Field(max_length=MAX_OBJECTS, fail_fast=True)]
 """A value of every ball."""
 
@@ -100,6 +104,58 @@ class ResponseBody(BaseModel):
     """What the service answers; a client ignores fields that a newer service has added."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+def _value_type(shape: tuple[int, ...]) -> Any:  # noqa: ANN401
+    """Return the type of nested lists of a fixed shape."""
+    kind: Any = Number
+    for length in reversed(shape):
+        kind = tuple[(kind,) * length]
+    return kind
+
+
+def _path_type(shape: tuple[int, ...]) -> Any:  # noqa: ANN401
+    return list[_value_type(shape)]
+
+
+class _Numbered(ResponseBody):
+    """One ball of an answer."""
+
+    id: int
+    """Index of the ball among the objects."""
+
+
+def _outputs_body(
+    name: str,
+    base: type[Body],
+    axes: str,
+    fields: Mapping[str, OutputSpec],
+    type_of: Callable[[tuple[int, ...]], Any],
+) -> type[Body]:
+    """Return a body with one field per output (``rollcast.outputs``)."""
+    typed: dict[str, Any] = {
+        field: (
+            type_of(spec.shape) if spec.is_required else type_of(spec.shape) | None,
+            Field(description=f"{axes}{spec.description}"),
+        )
+        for field, spec in fields.items()
+    }
+    return create_model(name, __base__=base, __module__=__name__, **typed)
+
+
+_StepOutputs = _outputs_body(
+    "_StepOutputs", _Numbered, "", {spec.step_name: spec for spec in STEP_OUTPUTS}, _value_type
+)
+_PathOutputs = _outputs_body(
+    "_PathOutputs", _Numbered, "[horizon] ", {spec.name: spec for spec in STEP_OUTPUTS}, _path_type
+)
+_ForecastOutputs = _outputs_body(
+    "_ForecastOutputs",
+    ResponseBody,
+    "[objects] ",
+    {spec.name: spec for spec in FORECAST_OUTPUTS},
+    _path_type,
+)
 
 
 class BallPrompt(RequestBody):
@@ -126,11 +182,9 @@ class PredictRequest(RequestBody):
     are composed on white."""
     final_frame: EncodedImage | None = None
     """A frame of the same size that shows step ``final_step`` of the model."""
-    final_step: Annotated[Integer, Field(ge=1)] | None = None
-    """Step that the final frame shows; only the model's own is accepted."""
     horizon: Annotated[Integer, Field(ge=1, le=MAX_HORIZON)] | None = None
     """Number of steps, t = 0..horizon-1: 40 by default, with a final frame ``final_step`` + 1."""
-    objects: Annotated[Integer, Field(ge=1, le=MAX_BALLS)] | None = None
+    num_objects: Annotated[Integer, Field(ge=1, le=MAX_BALLS)] | None = None
     """Number of balls: by default the named model's, with "auto" one. A model for any number of
     balls follows, by default, those that move."""
     balls: Annotated[
@@ -179,25 +233,18 @@ class AlternativeForecast(ResponseBody):
     """[horizon][2][2], square pixels."""
 
 
-class ForecastObject(ResponseBody):
+class ForecastObject(_PathOutputs):
     """The forecast of one ball."""
 
-    id: int
     color: BallColor
-    positions: list[Point]
-    """[horizon][x, y], pixels."""
-    covariances: list[Matrix]
-    """[horizon][2][2], square pixels."""
     covariance_source: Literal["predicted", "empirical"]
     """``predicted`` by the network for these frames, or ``empirical``: the model's residuals on
     validation data at that step."""
-    angular_velocities: list[Vector] | None
-    """[horizon][x, y, z], rad/s; None when the model has none."""
     score: Annotated[float, Field(ge=0, le=1)] | None = None
     """Confidence that the ball is there; None from models for a fixed number of balls."""
     seen: list[SeenBall] | None = None
     """The ball in each observed frame; None from models for a fixed number of balls."""
-    warnings: list[str] = []
+    warnings: list[str] = []  # noqa: RUF012 - of a pydantic model
     """Reasons to trust this ball's forecast less."""
     motion: Motion = "network"
     """``kinematic`` where "auto" reads the ground as level; such a forecast has no angular
@@ -216,15 +263,13 @@ class PredictTiming(ResponseBody):
     """From the parsed request to the answer, the wait in the queue not counted."""
 
 
-class ForecastSummary(ResponseBody):
+class ForecastSummary(_ForecastOutputs):
     """What an answer says besides its steps."""
 
     model: ModelReference
     frame_size: Size
     """Width and height of the frames that were sent: the unit of every position."""
     frame_rate: float
-    final_positions: list[Point] | None
-    """Where the final frame was seen to show each ball, pixels."""
     warnings: list[str]
     timing_ms: PredictTiming
 
@@ -241,16 +286,8 @@ class PredictResponse(ForecastSummary):
     The ellipse that should hold 95 % always has a Gaussian's radius, 2.45."""
 
 
-class StreamObject(ResponseBody):
+class StreamObject(_StepOutputs):
     """One ball at one step."""
-
-    id: int
-    position: Point
-    """Pixels."""
-    covariance: Matrix
-    """Square pixels."""
-    angular_velocity: Vector | None
-    """rad/s; None when the model has none."""
 
 
 class StreamStep(ResponseBody):
@@ -322,7 +359,7 @@ class SimulateRequest(RequestBody):
     scenario: Scenario
     seed: Annotated[Integer, Field(ge=0, le=MAX_SEED)]
     """The same seed gives the same bytes."""
-    objects: ObjectCount | None = None
+    num_objects: ObjectCount | None = None
     """Number of balls: by default that of ``scene.positions_m``, else one."""
     steps: Annotated[Integer, Field(ge=MIN_STEPS, le=MAX_STEPS)] = OBSERVED_FRAMES + DEFAULT_HORIZON
     start_step: Annotated[Integer, Field(ge=0, le=MAX_STEPS)] | None = None
@@ -340,7 +377,7 @@ class SimulateRequest(RequestBody):
     @property
     def balls(self) -> int:
         """Number of balls that is asked for."""
-        return self.objects or len(self.scene.positions_m or (None,))
+        return self.num_objects or len(self.scene.positions_m or (None,))
 
     @model_validator(mode="before")
     @classmethod
@@ -380,10 +417,10 @@ class SimulateRequest(RequestBody):
         if positions is not None and len(positions) != self.balls:
             raise PydanticCustomError(
                 "balls_differ",
-                "objects and scene.positions_m differ",
+                "num_objects and scene.positions_m differ",
                 {
-                    "field": "objects",
-                    "value": self.objects,
+                    "field": "num_objects",
+                    "value": self.num_objects,
                     "expected": f"{len(positions)}, the number of scene.positions_m",
                 },
             )

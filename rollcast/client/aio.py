@@ -87,8 +87,7 @@ class AsyncClient:
         horizon: Integer | None = None,
         model: str = AUTO_MODEL,
         final_frame: Frame | None = None,
-        final_step: Integer | None = None,
-        objects: Integer | None = None,
+        num_objects: Integer | None = None,
         balls: BallPoints | None = None,
         scenario: Domain | None = None,
         frame_rate: float | None = None,
@@ -108,9 +107,9 @@ class AsyncClient:
             Steps; by default 40, with a final frame as many as its model is made for.
         model
             "auto", NAME or NAME@VERSION.
-        final_frame, final_step
-            A later frame, for models that read one, and the step that it shows.
-        objects
+        final_frame
+            A later frame, for models that read one: that of the last step.
+        num_objects
             Number of balls; by default the named model's, with "auto" one. A model for any number
             of balls follows, by default, those that move.
         balls
@@ -143,8 +142,7 @@ class AsyncClient:
         options = ForecastOptions(
             horizon=horizon,
             model=model,
-            final_step=final_step,
-            objects=objects,
+            num_objects=num_objects,
             balls=balls,
             scenario=scenario,
             frame_rate=frame_rate,
@@ -250,7 +248,7 @@ class AsyncClient:
         scenario: Scenario | None = None,
         *,
         seed: Integer | None = None,
-        objects: Integer | None = None,
+        num_objects: Integer | None = None,
         steps: Integer = OBSERVED_FRAMES + 40,
         start_step: Integer | None = None,
         image_size: Integer = 128,
@@ -265,10 +263,10 @@ class AsyncClient:
         ----------
         scenario, seed
             Needed unless ``scene`` has them. The same seed gives the same bytes.
-        objects
+        num_objects
             Number of balls, by default that of ``scene``, else one.
         steps
-            Frames, 40 a second.
+            Frames, at the frame rate of simulations.
         start_step
             First step, counted from the start of the simulation; by default the test start.
         image_size
@@ -290,7 +288,7 @@ class AsyncClient:
         """
         options = SimulationOptions(
             seed=seed,
-            objects=objects,
+            num_objects=num_objects,
             steps=steps,
             start_step=start_step,
             image_size=image_size,

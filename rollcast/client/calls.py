@@ -52,9 +52,7 @@ class ForecastOptions(TypedDict, total=False):
     """Steps."""
     model: str
     """Name: NAME, NAME@VERSION or "auto"."""
-    final_step: Integer | None
-    """Step that the final frame shows."""
-    objects: Integer | None
+    num_objects: Integer | None
     """Number of balls."""
     balls: BallPoints | None
     """Points of the last observed frame, pixels, that say which balls are meant."""
@@ -73,10 +71,10 @@ class SimulationOptions(TypedDict, total=False):
 
     seed: Integer | None
     """Seed of the scene."""
-    objects: Integer | None
+    num_objects: Integer | None
     """Number of balls."""
     steps: Integer
-    """Frames, 40 a second."""
+    """Frames, at the frame rate of simulations."""
     start_step: Integer | None
     """First step, counted from the start of the simulation."""
     image_size: Integer
@@ -104,7 +102,7 @@ class Call(Generic[T]):
     """Largest answer that is read."""
     horizon: int | None = None
     """Number of requested steps."""
-    objects: int | None = None
+    num_objects: int | None = None
     """Number of requested balls."""
     advise: Callable[[Problem], str] = lambda _: ""
     """Advice about a refusal in terms of the client; empty if there is none."""
@@ -177,7 +175,7 @@ class Call(Generic[T]):
         objects, steps = forecast.positions.shape[:2]
         for name, found, asked in (
             ("steps", steps, self.horizon),
-            ("objects", objects, self.objects),
+            ("objects", objects, self.num_objects),
         ):
             require(asked in (None, found), f"there are {found} {name} instead of {asked}")
         return replace(forecast, warnings=(*self.warnings, *forecast.warnings))
@@ -213,15 +211,14 @@ def _forecast_call(
     crop = options.get("crop")
     if options.get("start_s") is not None:
         raise InvalidArgumentError("start_s is for a clip, given as the path of a video")
-    horizon, objects = _whole("horizon", options), _whole("objects", options)
+    horizon, number = _whole("horizon", options), _whole("num_objects", options)
     balls = options.get("balls")
     prompts = None if balls is None else prompts_of(balls)
     rate = options.get("frame_rate")
     fields = {
         "model": options.get("model"),
         "horizon": horizon,
-        "final_step": _whole("final_step", options),
-        "objects": objects,
+        "num_objects": number,
         "balls": None if prompts is None else json.dumps([dict(prompt) for prompt in prompts]),
         "scenario": options.get("scenario"),
         "frame_rate": None if rate is None else _number("frame_rate", rate),
@@ -242,7 +239,7 @@ def _forecast_call(
         fields={name: str(value) for name, value in fields.items() if value is not None},
         files=files,
         horizon=horizon,
-        objects=objects if prompts is None else len(prompts),
+        num_objects=number if prompts is None else len(prompts),
         advise=_advice,
         warnings=warnings,
     )
@@ -268,7 +265,7 @@ def simulate(
 ) -> Call[Simulation]:
     """Ask for a scene; options that are None are left to the service."""
     scene = options.get("scene")
-    numbers = ("seed", "objects", "steps", "start_step", "image_size")
+    numbers = ("seed", "num_objects", "steps", "start_step", "image_size")
     body: dict[str, Any] = {
         "scenario": scenario,
         **{name: _whole(name, options) for name in numbers},

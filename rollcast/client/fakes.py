@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from rollcast.camera import camera_for
 from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS
+from rollcast.outputs import FORECAST_OUTPUTS, STEP_OUTPUTS, OutputName
 from rollcast.scene import COLORS, SCENARIOS, Scene
 from rollcast.schemas import (
     DEFAULT_HORIZON,
@@ -82,7 +83,7 @@ def typed(
     """Return a request's body with the types of the schema; forms send numbers as text."""
     if not frames:
         return dict(fields)
-    numbers = {"horizon": int, "objects": int, "final_step": int, "frame_rate": float}
+    numbers = {"horizon": int, "num_objects": int, "frame_rate": float}
     values: dict[str, Any] = {name: numbers.get(name, str)(value) for name, value in fields.items()}
     return {**values, "frames": list(frames), "final_frame": final_frame}
 
@@ -102,12 +103,13 @@ def forecast(
     """
     size = _size(wish.frames, square=wish.balls is None)
     side = max(size)
-    objects = wish.objects if wish.balls is None else len(wish.balls)
-    if wish.objects not in (None, objects):
-        raise RefusalError(_wrong("objects", wish.objects, f"{objects}, the number of balls"))
+    objects = wish.num_objects if wish.balls is None else len(wish.balls)
+    if wish.num_objects not in (None, objects):
+        raise RefusalError(
+            _wrong("num_objects", wish.num_objects, f"{objects}, the number of balls")
+        )
     if positions is None:
-        between = None if wish.final_step is None else wish.final_step + 1
-        horizon = wish.horizon or between or DEFAULT_HORIZON
+        horizon = wish.horizon or DEFAULT_HORIZON
         indices = FIRST_FORECAST_FRAME + np.arange(horizon)
         starts = _starts(wish.balls, objects or 1, side)
         positions = starts[:, None] + (indices - FIRST_FORECAST_FRAME)[:, None] * side * VELOCITY
@@ -117,8 +119,7 @@ def forecast(
             _wrong("horizon", horizon, f"at most {positions.shape[1]}, as many as given")
         )
     if objects not in (None, len(positions)):
-        raise RefusalError(_wrong("objects", objects, f"{len(positions)}, as many as given"))
-    covariance = ((variance_px2, 0.0), (0.0, variance_px2))
+        raise RefusalError(_wrong("num_objects", objects, f"{len(positions)}, as many as given"))
     rate = wish.frame_rate or FRAME_RATE_HZ
     return PredictResponse(
         model=ModelReference(name=NAME, version=1, variant=NAME, trained_horizon=TRAINED_HORIZON),
@@ -128,10 +129,8 @@ def forecast(
             ForecastObject(
                 id=ball,
                 color=COLORS[ball % len(COLORS)],
-                positions=path[:horizon].tolist(),
-                covariances=[covariance] * horizon,
+                **_made_outputs(path[:horizon], variance_px2),
                 covariance_source="predicted",
-                angular_velocities=[TURNING_RAD_S] * horizon,
                 score=None if wish.balls is None else SCORE,
                 seen=None if wish.balls is None else _seen(wish.balls[ball], path[0], side),
             )
@@ -139,9 +138,7 @@ def forecast(
         ],
         times_s=[step / rate for step in range(horizon)],
         ellipse50_radii=[GAUSSIAN_ELLIPSE50_RADIUS] * horizon,
-        final_positions=None
-        if wish.final_frame is None
-        else [(float(path[horizon - 1][0]), float(path[horizon - 1][1])) for path in positions],
+        **_made_ends(wish, positions[:, horizon - 1]),
         warnings=[f"The horizon of {horizon} steps exceeds the {TRAINED_HORIZON} trained ones."]
         if horizon > TRAINED_HORIZON
         else [],
@@ -161,9 +158,7 @@ def events(whole: PredictResponse) -> bytes:
                 objects=[
                     StreamObject(
                         id=ball.id,
-                        position=ball.positions[step],
-                        covariance=ball.covariances[step],
-                        angular_velocity=TURNING_RAD_S,
+                        **{spec.step_name: getattr(ball, spec.name)[step] for spec in STEP_OUTPUTS},
                     )
                     for ball in whole.objects
                 ],
@@ -321,6 +316,30 @@ def _ground(scene: Scene) -> SurfaceGrid:
         half_width_m=reach_m,
         heights_m=[[None if math.isnan(height) else height for height in row] for row in rows],
     )
+
+
+def _made_outputs(path: np.ndarray, variance_px2: float) -> dict[OutputName, Any]:
+    """Return the outputs of a ball on a path [T, 2], zeros for those that are not simulated."""
+    known = {
+        "positions": path,
+        "covariances": variance_px2 * np.eye(2),
+        "angular_velocities": np.array(TURNING_RAD_S),
+    }
+    return {
+        spec.name: np.broadcast_to(known.get(spec.name, 0.0), (len(path), *spec.shape)).tolist()
+        for spec in STEP_OUTPUTS
+    }
+
+
+def _made_ends(wish: PredictRequest, last: np.ndarray) -> dict[OutputName, Any]:
+    """Return the outputs that belong to no step: the balls' last positions with a final frame."""
+    known = {"final_positions": last}
+    return {
+        spec.name: None
+        if wish.final_frame is None
+        else np.broadcast_to(known.get(spec.name, 0.0), (len(last), *spec.shape)).tolist()
+        for spec in FORECAST_OUTPUTS
+    }
 
 
 def _scene(wish: SimulateRequest) -> Scene:

@@ -1,14 +1,15 @@
 """Forecasts as files: JSON, CSV, pictures and videos."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rollcast.client import pictures, tables
 from rollcast.client.images import Crop, Frames
+from rollcast.outputs import FORECAST_OUTPUTS, STEP_OUTPUTS, OutputName
 from rollcast.schemas import ForecastObject, PredictResponse
 from rollcast.video_writer import write_film
 
@@ -45,8 +46,6 @@ def save(
 
 def forecast_json(forecast: "Forecast") -> str:
     """Return the body of the answer that a forecast was made of."""
-    turning = forecast.angular_velocities
-    final = forecast.final_positions
     body = {
         **{
             name: getattr(forecast, name)
@@ -57,12 +56,8 @@ def forecast_json(forecast: "Forecast") -> str:
                 {
                     "id": index,
                     "color": color,
-                    "positions": forecast.positions[index].tolist(),
-                    "covariances": forecast.covariances[index].tolist(),
+                    **paths(forecast.outputs, index),
                     "covariance_source": forecast.covariance_source,
-                    "angular_velocities": None
-                    if turning is None or np.isnan(turning[index]).any()
-                    else turning[index].tolist(),
                     "score": None if forecast.scores is None else float(forecast.scores[index]),
                     "seen": seen_balls(forecast, index),
                     "warnings": forecast.object_warnings[index],
@@ -74,9 +69,24 @@ def forecast_json(forecast: "Forecast") -> str:
         ],
         "times_s": forecast.times_s.tolist(),
         "ellipse50_radii": forecast.ellipse50_radii.tolist(),
-        "final_positions": None if final is None else final.tolist(),
+        **{
+            spec.name: forecast.outputs[spec.name].tolist()
+            if spec.name in forecast.outputs
+            else None
+            for spec in FORECAST_OUTPUTS
+        },
     }
     return PredictResponse.model_validate(body).model_dump_json()
+
+
+def paths(outputs: Mapping[OutputName, np.ndarray], index: int) -> dict[OutputName, Any]:
+    """Return the outputs of one object at all steps as lists; None where it has none."""
+    return {
+        spec.name: None
+        if spec.name not in outputs or np.isnan(outputs[spec.name][index]).any()
+        else outputs[spec.name][index].tolist()
+        for spec in STEP_OUTPUTS
+    }
 
 
 def seen_balls(

@@ -5,7 +5,7 @@ top-left corner of the top-left pixel. Angular velocities are rad/s about the wo
 """
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, Self
@@ -17,6 +17,7 @@ from PIL import Image
 from rollcast.client import files, pictures, tables
 from rollcast.client.images import Crop, Frames, decoded
 from rollcast.client.shapes import checked, checked_times, require
+from rollcast.outputs import OUTPUTS, STEP_OUTPUTS, OutputName, OutputSpec
 from rollcast.scene import Color, Scene
 from rollcast.schemas import (
     MAX_IMAGE_SIZE,
@@ -56,12 +57,23 @@ class ForecastStep:
     """Seconds after the last observed frame."""
     ellipse50_radius: float
     """Element of ``Forecast.ellipse50_radii`` for this step."""
-    positions: Float64[np.ndarray, "objects 2"]
-    """Pixels."""
-    covariances: Float64[np.ndarray, "objects 2 2"]
-    """Square pixels."""
-    angular_velocities: Float64[np.ndarray, "objects 3"] | None
-    """rad/s; NaN for objects with kinematic motion; None if no object has any."""
+    outputs: Mapping[OutputName, np.ndarray]
+    """Outputs [objects, ...] by name, without those that the model does not have."""
+
+    @property
+    def positions(self) -> Float64[np.ndarray, "objects 2"]:
+        """Pixels."""
+        return self.outputs["positions"]
+
+    @property
+    def covariances(self) -> Float64[np.ndarray, "objects 2 2"]:
+        """Square pixels."""
+        return self.outputs["covariances"]
+
+    @property
+    def angular_velocities(self) -> Float64[np.ndarray, "objects 3"] | None:
+        """rad/s; NaN for objects with kinematic motion; None if no object has any."""
+        return self.outputs.get("angular_velocities")
 
     @classmethod
     def from_event(cls, event: StreamStep) -> Self:
@@ -78,10 +90,9 @@ class ForecastStep:
             step=event.step,
             time_s=event.time_s,
             ellipse50_radius=event.ellipse50_radius,
-            positions=checked("positions", [ball.position for ball in balls], (len(balls), 2)),
-            covariances=_covariances([ball.covariance for ball in balls], (len(balls),)),
-            angular_velocities=_angular_velocities(
-                [ball.angular_velocity for ball in balls], (len(balls), 3)
+            outputs=_outputs(
+                (spec, [getattr(ball, spec.step_name) for ball in balls], (len(balls),))
+                for spec in STEP_OUTPUTS
             ),
         )
 
@@ -90,19 +101,14 @@ class ForecastStep:
 class Forecast:
     """Forecast paths of the balls, steps t = 0 (the last observed frame) to T-1."""
 
-    positions: Float64[np.ndarray, "objects T 2"]
-    """Pixels."""
-    covariances: Float64[np.ndarray, "objects T 2 2"]
-    """Square pixels."""
+    outputs: Mapping[OutputName, np.ndarray]
+    """Outputs by name, [objects, T, ...] or, those of no step, [objects, ...], without those that
+    the model does not have. ``positions`` and others are attributes as well."""
     covariance_source: Literal["predicted", "empirical"]
     """``predicted`` for these frames, or ``empirical``: residuals on validation data."""
     ellipse50_radii: Float64[np.ndarray, " T"]
     """Standard deviations: radius of the ellipse that should hold the truth every second time. That
     of the ellipse that should hold 95 % is always 2.45."""
-    angular_velocities: Float64[np.ndarray, "objects T 3"] | None
-    """rad/s; NaN for objects with kinematic motion; None if no object has any."""
-    final_positions: Float64[np.ndarray, "objects 2"] | None
-    """Pixels: where the final frame was seen to show the balls; None without one."""
     times_s: Float64[np.ndarray, " T"]
     """Seconds after the last observed frame."""
     colors: tuple[str, ...]
@@ -129,13 +135,34 @@ class Forecast:
     timing_ms: PredictTiming
     """Time of each stage on the service."""
 
+    @property
+    def positions(self) -> Float64[np.ndarray, "objects T 2"]:
+        """Pixels."""
+        return self.outputs["positions"]
+
+    @property
+    def covariances(self) -> Float64[np.ndarray, "objects T 2 2"]:
+        """Square pixels."""
+        return self.outputs["covariances"]
+
+    @property
+    def angular_velocities(self) -> Float64[np.ndarray, "objects T 3"] | None:
+        """rad/s; NaN for objects with kinematic motion; None if no object has any."""
+        return self.outputs.get("angular_velocities")
+
+    @property
+    def final_positions(self) -> Float64[np.ndarray, "objects 2"] | None:
+        """Pixels: positions of the balls in the final frame; None without one."""
+        return self.outputs.get("final_positions")
+
     def to_dataframe(self) -> "DataFrame":
         """Return a row for every step of every ball, in the order of time (needs pandas).
 
         Columns: ``step``, ``time_s``, ``object``, ``color``, ``x_px``, ``y_px``, the covariance's
         ``xx_px2``, ``xy_px2`` and ``yy_px2``, and where the model has them the angular velocities
-        ``wx_rad_s``, ``wy_rad_s`` and ``wz_rad_s``. Of models for any number of balls also
-        ``radius_px``, ``score`` and ``warnings``, which are the same at every step of a ball.
+        ``wx_rad_s``, ``wy_rad_s`` and ``wz_rad_s`` and other outputs. Of models for any number of
+        balls also ``radius_px``, ``score`` and ``warnings``, which are the same at every step of a
+        ball.
 
         Raises
         ------
@@ -226,7 +253,7 @@ class Forecast:
         ValueError
             When they do not fit together.
         """
-        balls, final = response.objects, response.final_positions
+        balls = response.objects
         require(len(balls) > 0, "there are no objects")
         require([ball.id for ball in balls] == [*range(len(balls))], "the objects are not numbered")
         times_s = checked_times("times_s", response.times_s)
@@ -239,16 +266,14 @@ class Forecast:
             all(ball.covariance_source == source for ball in balls), "covariance_source differs"
         )
         return cls(
-            positions=checked("positions", [ball.positions for ball in balls], (*shape, 2)),
-            covariances=_covariances([ball.covariances for ball in balls], shape),
+            outputs=_outputs(
+                (spec, [getattr(ball, spec.name) for ball in balls], shape)
+                if spec.is_per_step
+                else (spec, getattr(response, spec.name), shape[:1])
+                for spec in OUTPUTS
+            ),
             covariance_source=source,
             ellipse50_radii=checked("ellipse50_radii", response.ellipse50_radii, shape[1:]),
-            angular_velocities=_angular_velocities(
-                [ball.angular_velocities for ball in balls], (*shape, 3)
-            ),
-            final_positions=None
-            if final is None
-            else checked("final_positions", final, (len(balls), 2)),
             times_s=times_s,
             colors=tuple(ball.color for ball in balls),
             scores=_unless_unknown("scores", [ball.score for ball in balls], (len(balls),)),
@@ -280,11 +305,7 @@ class Forecast:
         balls = [
             ForecastObject(
                 **dict(ball),
-                positions=[step.objects[index].position for step in steps],
-                covariances=[step.objects[index].covariance for step in steps],
-                angular_velocities=None
-                if any(step.objects[index].angular_velocity is None for step in steps)
-                else [step.objects[index].angular_velocity or (0, 0, 0) for step in steps],
+                **{spec.name: _path(steps, index, spec.step_name) for spec in STEP_OUTPUTS},
             )
             for index, ball in enumerate(done.objects)
         ]
@@ -417,24 +438,31 @@ def _surface(grid: SurfaceGrid) -> Surface:
     return Surface(checked("heights_m", grid.heights_m, (points, points)), grid.half_width_m)
 
 
-def _covariances(values: object, shape: tuple[int, ...]) -> np.ndarray:
-    covariances = checked("covariances", values, (*shape, 2, 2))
-    variances = np.diagonal(covariances, axis1=-2, axis2=-1)
+def _outputs(
+    given: Iterable[tuple[OutputSpec, Sequence[Any] | None, tuple[int, ...]]],
+) -> dict[OutputName, np.ndarray]:
+    """Return outputs as arrays of their shape behind another one, without missing ones."""
+    outputs: dict[OutputName, np.ndarray] = {}
+    for spec, values, axes in given:
+        if values is None or all(value is None for value in values):
+            continue
+        # Objects with kinematic motion have no values of some outputs.
+        unknown = np.full((*axes[1:], *spec.shape), np.nan).tolist()
+        known = [unknown if value is None else value for value in values]
+        outputs[spec.name] = checked(spec.name, known, (*axes, *spec.shape))
+    variances = np.diagonal(outputs["covariances"], axis1=-2, axis2=-1)
     require(bool((variances >= 0).all()), "a variance is negative")
-    return covariances
+    return outputs
+
+
+def _path(steps: Sequence[StreamStep], index: int, name: str) -> Any:  # noqa: ANN401
+    """Return an output of one object at all steps; None if it is missing at one."""
+    values = [getattr(step.objects[index], name) for step in steps]
+    return None if any(value is None for value in values) else values
 
 
 def _seen(ball: ForecastObject) -> list[tuple[float, float, float]] | None:
     return None if ball.seen is None else [(place.x, place.y, place.radius) for place in ball.seen]
-
-
-def _angular_velocities(values: Sequence[object], shape: tuple[int, ...]) -> np.ndarray | None:
-    """Return angular velocities, NaN for objects without; None if no object has any."""
-    if all(value is None for value in values):
-        return None
-    unknown = np.full(shape[1:], np.nan).tolist()
-    known = [unknown if value is None else value for value in values]
-    return checked("angular_velocities", known, shape)
 
 
 def _unless_unknown(

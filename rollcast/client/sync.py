@@ -88,8 +88,7 @@ class Client:
         horizon: Integer | None = None,
         model: str = AUTO_MODEL,
         final_frame: Frame | None = None,
-        final_step: Integer | None = None,
-        objects: Integer | None = None,
+        num_objects: Integer | None = None,
         balls: BallPoints | None = None,
         scenario: Domain | None = None,
         frame_rate: float | None = None,
@@ -109,9 +108,9 @@ class Client:
             Steps; by default 40, with a final frame as many as its model is made for.
         model
             "auto", NAME or NAME@VERSION.
-        final_frame, final_step
-            A later frame, for models that read one, and the step that it shows.
-        objects
+        final_frame
+            A later frame, for models that read one: that of the last step.
+        num_objects
             Number of balls; by default the named model's, with "auto" one. A model for any number
             of balls follows, by default, those that move.
         balls
@@ -144,8 +143,7 @@ class Client:
         options = ForecastOptions(
             horizon=horizon,
             model=model,
-            final_step=final_step,
-            objects=objects,
+            num_objects=num_objects,
             balls=balls,
             scenario=scenario,
             frame_rate=frame_rate,
@@ -251,7 +249,7 @@ class Client:
         scenario: Scenario | None = None,
         *,
         seed: Integer | None = None,
-        objects: Integer | None = None,
+        num_objects: Integer | None = None,
         steps: Integer = OBSERVED_FRAMES + 40,
         start_step: Integer | None = None,
         image_size: Integer = 128,
@@ -266,10 +264,10 @@ class Client:
         ----------
         scenario, seed
             Needed unless ``scene`` has them. The same seed gives the same bytes.
-        objects
+        num_objects
             Number of balls, by default that of ``scene``, else one.
         steps
-            Frames, 40 a second.
+            Frames, at the frame rate of simulations.
         start_step
             First step, counted from the start of the simulation; by default the test start.
         image_size
@@ -291,7 +289,7 @@ class Client:
         """
         options = SimulationOptions(
             seed=seed,
-            objects=objects,
+            num_objects=num_objects,
             steps=steps,
             start_step=start_step,
             image_size=image_size,

@@ -2,11 +2,13 @@
 
 import csv
 import io
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rollcast.errors import MissingExtraError
+from rollcast.outputs import STEP_OUTPUTS, OutputName
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -19,19 +21,15 @@ Columns = dict[str, np.ndarray]
 
 def forecast_columns(forecast: "Forecast") -> Columns:
     """Return the columns of ``Forecast.to_dataframe``."""
-    columns = _path_columns(forecast)
-    covariances = _rows(forecast.covariances)
-    columns |= {
-        "xx_px2": covariances[:, 0, 0],
-        "xy_px2": covariances[:, 0, 1],
-        "yy_px2": covariances[:, 1, 1],
-    }
-    return columns | _turning_columns(forecast.angular_velocities) | _found_columns(forecast)
+    columns = _step_columns(forecast) | _output_columns(forecast.outputs)
+    return columns | _found_columns(forecast)
 
 
 def simulation_columns(simulation: "Simulation") -> Columns:
     """Return the columns of ``Simulation.to_dataframe``."""
-    return _path_columns(simulation) | _turning_columns(simulation.angular_velocities)
+    known = ("positions", "angular_velocities")
+    outputs = {name: getattr(simulation, name) for name in known}
+    return _step_columns(simulation) | _output_columns(outputs)
 
 
 def dataframe(columns: Columns) -> "DataFrame":
@@ -58,16 +56,22 @@ def csv_text(columns: Columns) -> str:
     return text.getvalue().rstrip("\n")
 
 
-def _path_columns(result: "Forecast | Simulation") -> Columns:
+def _step_columns(result: "Forecast | Simulation") -> Columns:
     objects, steps = len(result.colors), len(result.times_s)
-    positions = _rows(result.positions)
     return {
         "step": np.arange(steps).repeat(objects),
         "time_s": np.repeat(np.asarray(result.times_s), objects),
         "object": np.tile(np.arange(objects), steps),
         "color": np.array([*result.colors] * steps, object),
-        "x_px": positions[:, 0],
-        "y_px": positions[:, 1],
+    }
+
+
+def _output_columns(outputs: Mapping[OutputName, np.ndarray]) -> Columns:
+    return {
+        column: _rows(outputs[spec.name])[:, *index]
+        for spec in STEP_OUTPUTS
+        if spec.name in outputs
+        for column, index in spec.columns.items()
     }
 
 
@@ -81,12 +85,6 @@ def _found_columns(forecast: "Forecast") -> Columns:
         "score": np.tile(forecast.scores, steps),
         "warnings": np.tile(told, steps),
     }
-
-
-def _turning_columns(angular_velocities: np.ndarray | None) -> Columns:
-    if angular_velocities is None:
-        return {}
-    return dict(zip(("wx_rad_s", "wy_rad_s", "wz_rad_s"), _rows(angular_velocities).T, strict=True))
 
 
 def _rows(values: np.ndarray) -> np.ndarray:

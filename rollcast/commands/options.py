@@ -12,6 +12,7 @@ from rollcast.client import Client
 from rollcast.client.settings import DEFAULT_URL, URL_VARIABLE
 from rollcast.footage import SquareCrop
 from rollcast.schemas import BallPrompt
+from rollcast.trajectory import FRAME_RATE_HZ
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 FILMS = (".mp4", ".webm", ".gif")
@@ -152,7 +153,8 @@ Every: TypeAlias = Annotated[
     typer.Option(
         parser=whole_number(1, 1000),
         metavar="N",
-        help="use every N-th frame without interpolation (default: 40 frames per second)",
+        help="use every N-th frame without interpolation (default: "
+        f"{FRAME_RATE_HZ} frames per second)",
     ),
 ]
 Rate: TypeAlias = Annotated[

@@ -55,9 +55,9 @@ def predict(
         list[Path],
         typer.Argument(
             metavar="VIDEO|FOLDER|IMAGES",
-            help="a video, from which four frames are read, at 40 per second or at the model's "
-            "rate (interpolated where the camera has none); or a folder of images, or at least "
-            "four images",
+            help=f"a video, from which four frames are read, at {FRAME_RATE_HZ} per second or at "
+            "the model's rate (interpolated where the camera has none); or a folder of images, or "
+            "at least four images",
             show_default=False,
         ),
     ],
@@ -87,7 +87,7 @@ def predict(
     model: Annotated[
         str, typer.Option(metavar="NAME", help="auto, NAME or NAME@VERSION")
     ] = AUTO_MODEL,
-    objects: Annotated[
+    num_objects: Annotated[
         int | None,
         typer.Option(
             parser=whole_number(1, MAX_BALLS),
@@ -106,8 +106,8 @@ def predict(
     slower: Slower = 1,
 ) -> Outcome:
     """Read frames, request a forecast, print and draw it."""
-    if final is None and horizon is None:
-        horizon = DEFAULT_HORIZON
+    if horizon is None:
+        horizon = DEFAULT_HORIZON if final is None else final + 1
     with client(context, url) as service, waiting("waiting for the service"):
         known_rate, known_crop = _known(service, model, prompted=bool(ball))
         observed, later_frames = read(footage, start, every, rate, crop or known_crop, known_rate)
@@ -115,10 +115,9 @@ def predict(
         forecast = service.predict(
             list(observed.frames),
             final_frame=final_frame,
-            final_step=final,
             horizon=horizon,
             model=model,
-            objects=objects,
+            num_objects=num_objects,
             balls=moved(ball, observed.crop) if ball else None,
             scenario=scenario,
             frame_rate=observed.frame_rate,

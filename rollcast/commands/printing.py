@@ -2,15 +2,16 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from rollcast.client import Forecast, Simulation
-from rollcast.client.files import seen_balls
+from rollcast.client.files import paths, seen_balls
 from rollcast.client.tables import Columns, csv_text, forecast_columns, simulation_columns
 from rollcast.commands.options import Format
 from rollcast.commands.overlay import spread
 from rollcast.footage import Footage, PictureCrop, SquareCrop
+from rollcast.outputs import Units, rescaled
 
 TABLE_ROWS = 10
 
@@ -20,9 +21,8 @@ def forecast_text(
 ) -> str:
     """Print a forecast in pixels of the uncropped picture; CSV has no place for warnings."""
     crop = observed.crop
-    columns = forecast_columns(forecast)
-    columns["x_px"] = columns["x_px"] + crop.x
-    columns["y_px"] = columns["y_px"] + crop.y
+    outputs = rescaled(forecast.outputs, Units(origin=(-crop.x, -crop.y)))
+    columns = forecast_columns(replace(forecast, outputs=outputs))
     if form == "csv":
         return csv_text(columns)
     model = f"{forecast.model.name}@{forecast.model.version}"
@@ -47,12 +47,8 @@ def forecast_text(
                 {
                     "id": ball,
                     "color": color,
-                    "positions": (forecast.positions[ball] + (crop.x, crop.y)).tolist(),
-                    "covariances": forecast.covariances[ball].tolist(),
+                    **paths(outputs, ball),
                     "covariance_source": forecast.covariance_source,
-                    "angular_velocities": None
-                    if forecast.motions[ball] == "kinematic" or forecast.angular_velocities is None
-                    else forecast.angular_velocities[ball].tolist(),
                     "score": None if forecast.scores is None else float(forecast.scores[ball]),
                     "seen": seen_balls(forecast, ball, crop.x, crop.y),
                     "warnings": forecast.object_warnings[ball],

@@ -23,7 +23,7 @@ from rollcast.commands.printing import as_json, truth_text
 from rollcast.commands.progress import counted, waiting
 from rollcast.scene import MAX_OBJECTS, MAX_SEED, Scenario
 from rollcast.schemas import DEFAULT_HORIZON, MAX_IMAGE_SIZE, MAX_STEPS, MIN_FRAME_SIZE, MIN_STEPS
-from rollcast.trajectory import OBSERVED_FRAMES
+from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 from rollcast.video_writer import write_film
 
 HELP = """\
@@ -46,7 +46,7 @@ def simulate(
         int,
         typer.Option(parser=whole_number(0, MAX_SEED), metavar="SEED", help="seed of the scene"),
     ] = 0,
-    objects: Annotated[
+    num_objects: Annotated[
         int,
         typer.Option(parser=whole_number(1, MAX_OBJECTS), metavar="BALLS", help="number of balls"),
     ] = 1,
@@ -55,7 +55,7 @@ def simulate(
         typer.Option(
             parser=whole_number(MIN_STEPS, MAX_STEPS),
             metavar="STEPS",
-            help="number of frames, 40 per second",
+            help=f"number of frames, {FRAME_RATE_HZ} per second",
         ),
     ] = OBSERVED_FRAMES + DEFAULT_HORIZON,
     size: Annotated[
@@ -81,7 +81,7 @@ def simulate(
         simulation = service.simulate(
             scenario,
             seed=seed,
-            objects=objects,
+            num_objects=num_objects,
             steps=steps,
             image_size=size,
             include_frames=out is not None,

@@ -228,7 +228,7 @@ class World:
             pybullet.setCollisionFilterGroupMask(body, -1, _WALLS, _BALLS, physicsClientId=client)
 
     def step_frame(self) -> None:
-        """Advance by one frame of 1/40 s."""
+        """Advance by one frame."""
         for _ in range(self._steps_per_frame):
             for index, centre in enumerate(self._centres):
                 self._lay_planes(index, centre)

@@ -1,7 +1,6 @@
 """Balls that were found or asked for, between a request's pixels and a model's square."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -90,8 +89,7 @@ class RequestBalls:
         """
         steps = slice(first_step, first_step + network.positions.shape[2])
         scale = (GAUSSIAN_ELLIPSE50_RADIUS / network.ellipse50_radii) ** 2
-        return replace(
-            network,
+        return network.having(
             positions=self._path.positions[None, :, steps].astype(np.float32),
             covariances=(self._path.covariances[:, steps] * scale[:, None, None])[None].astype(
                 np.float32

@@ -1,7 +1,7 @@
 """One prediction request answered, whole or step by step: decode, choose, roll out, report."""
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.image_sequence import numbering_warnings
 from rollcast.manifest import Manifest
 from rollcast.ood import frame_stats
+from rollcast.outputs import FORECAST_OUTPUTS, STEP_OUTPUTS, OutputName, OutputSpec, Units
 from rollcast.patches import letterboxed
 from rollcast.rollout import Outputs, stacked
 from rollcast.scene import BallColor
@@ -105,10 +106,10 @@ class _Forecast:
         self._stages.begin("decode")
         final_frame = request.final_frame is not None
         prompted = request.balls is not None
-        self._number = request.objects if request.balls is None else len(request.balls)
-        if request.objects not in (None, self._number):
+        self._number = request.num_objects if request.balls is None else len(request.balls)
+        if request.num_objects not in (None, self._number):
             expected = f"{self._number}, the number of balls"
-            raise InvalidValueError.at("objects", request.objects, expected)
+            raise InvalidValueError.at("num_objects", request.num_objects, expected)
         opened = _open(request, self._token.raise_if_cancelled)
         square = request.model != AUTO_MODEL or opened.is_square
         query = ModelQuery(
@@ -231,11 +232,12 @@ class _Forecast:
 
     def in_frame(self, made: Forecast) -> Forecast:
         """Return a forecast in the units of the user's frames."""
-        return made.within_frame().rescaled(
+        units = Units(
             max(self._size) / NETWORK_FRAME_SIZE,
             self._rate / self.manifest.frame_rate_hz,
             (0.0, 0.0) if self._balls is None else self._balls.origin,
         )
+        return made.within_frame().rescaled(units)
 
     def answered(self, made: Forecast, first_step: int) -> Forecast:
         """Return the forecast of the answer, noting where balls leave the frame."""
@@ -256,10 +258,14 @@ class _Forecast:
             for ball in self._details
         ]
 
-    def summary(self, final_positions: np.ndarray | None) -> ForecastSummary:
+    def summary(self, outputs: Mapping[OutputName, np.ndarray]) -> ForecastSummary:
         """Tell all that is no step; called at the end, for it takes the time."""
         manifest = self.manifest
         taken = self._stages.end(manifest.label)
+        ends: dict[OutputName, Any] = {
+            spec.name: outputs[spec.name][0].tolist() if spec.name in outputs else None
+            for spec in FORECAST_OUTPUTS
+        }
         return ForecastSummary(
             model=ModelReference(
                 name=manifest.name,
@@ -269,7 +275,7 @@ class _Forecast:
             ),
             frame_size=self._size,
             frame_rate=self._rate,
-            final_positions=None if final_positions is None else final_positions[0].tolist(),
+            **ends,
             warnings=[*self._limits, *self._doubts],
             timing_ms=taken,
         )
@@ -303,7 +309,7 @@ class WholeForecast(_Forecast):
         forecast = self.answered(made, first_step=0)
         other = None if other is None else self.in_frame(other)
         response = PredictResponse(
-            **dict(self.summary(forecast.final_positions)),
+            **dict(self.summary(forecast.outputs)),
             objects=_objects(forecast, self.balls, other),
             times_s=[step / self._rate for step in range(len(self._steps))],
             ellipse50_radii=forecast.ellipse50_radii.tolist(),
@@ -330,7 +336,7 @@ class StreamedForecast(_Forecast):
     ) -> None:
         super().__init__(parse, token, registry, metrics)
         self._emit = emit
-        self._final: np.ndarray | None = None
+        self._first: Mapping[OutputName, np.ndarray] = {}
 
     def step(self, index: int, outputs: Outputs) -> Decoding | None:
         """Hand a step over.
@@ -346,7 +352,7 @@ class StreamedForecast(_Forecast):
         made, _ = self.motions(stacked([outputs]), first_step=index)
         forecast = self.answered(made, first_step=index)
         if index == 0:
-            self._final = forecast.final_positions
+            self._first = forecast.outputs
         self._emit(
             StreamStep(
                 step=index,
@@ -355,13 +361,12 @@ class StreamedForecast(_Forecast):
                 objects=[
                     StreamObject(
                         id=ball.id,
-                        position=ball.positions[0],
-                        covariance=ball.covariances[0],
-                        angular_velocity=None
-                        if ball.angular_velocities is None
-                        else ball.angular_velocities[0],
+                        **{
+                            spec.step_name: values[0] if values else None
+                            for spec, values in _paths(forecast, ball)
+                        },
                     )
-                    for ball in _objects(forecast, self._details, None)
+                    for ball in self._details
                 ],
             )
         )
@@ -371,7 +376,7 @@ class StreamedForecast(_Forecast):
         """Hand over what is no step."""
         self._emit(
             StreamDone(
-                **dict(self.summary(self._final)),
+                **dict(self.summary(self._first)),
                 objects=[StreamBall(**ball._asdict()) for ball in self.balls],
             )
         )
@@ -380,13 +385,8 @@ class StreamedForecast(_Forecast):
 def _horizon(request: PredictRequest, manifest: Manifest) -> int:
     """Return the number of steps, which a final frame fixes."""
     if manifest.final_step is None:
-        if request.final_step is not None:
-            raise InvalidValueError.at("final_step", request.final_step, "a final_frame with it")
         return request.horizon or DEFAULT_HORIZON
     fixed = manifest.final_step + 1
-    if request.final_step not in (None, manifest.final_step):
-        expected = f"{manifest.final_step}, the step that {manifest.label} is made for"
-        raise InvalidValueError.at("final_step", request.final_step, expected)
     if request.horizon not in (None, fixed):
         expected = f"{fixed}, final_step + 1 of {manifest.label}"
         raise InvalidValueError.at("horizon", request.horizon, expected)
@@ -403,19 +403,22 @@ def _open(request: PredictRequest, check: Check) -> OpenedFrames:
 def _objects(
     forecast: Forecast, balls: Sequence[BallDetails], other: Forecast | None
 ) -> list[ForecastObject]:
-    turning = forecast.angular_velocities
     return [
         ForecastObject(
             **ball._asdict(),
-            positions=forecast.positions[0, ball.id].tolist(),
-            covariances=forecast.covariances[0, ball.id].tolist(),
-            angular_velocities=None
-            if turning is None or ball.motion == "kinematic"
-            else turning[0, ball.id].tolist(),
+            **{spec.name: values for spec, values in _paths(forecast, ball)},
             alternative=None if other is None else _alternative(other, ball),
         )
         for ball in balls
     ]
+
+
+def _paths(forecast: Forecast, ball: BallDetails) -> Iterator[tuple[OutputSpec, Any]]:
+    """Yield the outputs of a ball at all steps; kinematic motion has the required ones only."""
+    for spec in STEP_OUTPUTS:
+        is_known = spec.name in forecast.outputs and ball.motion != "kinematic"
+        has_values = is_known or spec.is_required
+        yield spec, forecast.outputs[spec.name][0, ball.id].tolist() if has_values else None
 
 
 def _alternative(other: Forecast, ball: BallDetails) -> AlternativeForecast:

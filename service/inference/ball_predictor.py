@@ -201,5 +201,5 @@ def _wanted(balls: Balls, objects: int | None, most: int) -> np.ndarray:
     order = by_motion(balls)
     if len(order) < objects:
         expected = f"at most {len(order)}, the balls that are found in the frames"
-        raise InvalidValueError.at("objects", objects, expected)
+        raise InvalidValueError.at("num_objects", objects, expected)
     return order[:objects]

@@ -18,9 +18,9 @@ from rollcast.manifest import (
     NEXT_PREFIX,
     STEP_FILE,
     Manifest,
-    OutputName,
 )
 from rollcast.ood import Familiarity
+from rollcast.outputs import OutputName
 from rollcast.perception_io import run_perception
 from rollcast.rollout import Arrays, Step
 from service.inference.ball_predictor import BallPredictor

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from rollcast.camera import NETWORK_FRAME_SIZE
-from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS, CovarianceSource, Manifest, OutputName
+from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS, CovarianceSource, Manifest
 from rollcast.ood import Familiarity
+from rollcast.outputs import STEP_OUTPUTS, OutputName, Units, rescaled
 from rollcast.rollout import Arrays, Step
 from service.errors import DivergedError
 
@@ -49,22 +50,29 @@ class Predictor(Protocol):
 class Forecast:
     """A forecast of B requests, with an uncertainty from one source or the other."""
 
-    positions: Float[np.ndarray, "B N T 2"]
-    """Pixels."""
-    covariances: Float[np.ndarray, "B N T 2 2"]
-    """Square pixels."""
+    outputs: Mapping[OutputName, np.ndarray]
+    """Outputs [B, N, T, ...] that the model has, those of no step [B, N, ...]."""
     ellipse50_radii: Float[np.ndarray, " T"]
-    """Standard deviations: of the ellipses that should hold half of the truths."""
-    angular_velocities: Float[np.ndarray, "B N T 3"] | None
-    """rad/s."""
-    final_positions: Float[np.ndarray, "B N 2"] | None
-    """Pixels."""
+    """Standard deviations: radii of the ellipses that should contain half of the true positions."""
+
+    @property
+    def positions(self) -> Float[np.ndarray, "B N T 2"]:
+        """Pixels."""
+        return self.outputs["positions"]
+
+    @property
+    def covariances(self) -> Float[np.ndarray, "B N T 2 2"]:
+        """Square pixels."""
+        return self.outputs["covariances"]
+
+    def having(self, **outputs: np.ndarray) -> "Forecast":
+        """Return the forecast with other values of some outputs."""
+        return replace(self, outputs={**self.outputs, **outputs})
 
     def mixed(self, other: "Forecast", balls: Bool[np.ndarray, " N"]) -> "Forecast":
         """Return the forecast with the positions and covariances of some balls from another one."""
         chosen = balls[:, None, None]
-        return replace(
-            self,
+        return self.having(
             positions=np.where(chosen, other.positions, self.positions),
             covariances=np.where(chosen[..., None], other.covariances, self.covariances),
         )
@@ -77,34 +85,14 @@ class Forecast:
         """
         largest = np.linalg.eigvalsh(self.covariances)[..., -1]
         shrink = np.minimum(1, LARGEST_SIGMA_PX**2 / np.maximum(largest, 1e-9))
-        return replace(
-            self,
+        return self.having(
             positions=self.positions.clip(-MARGIN_PX, NETWORK_FRAME_SIZE + MARGIN_PX),
             covariances=self.covariances * shrink[..., None, None].astype(np.float32),
         )
 
-    def rescaled(
-        self, length: float, rate: float, origin: tuple[float, float] = (0.0, 0.0)
-    ) -> "Forecast":
-        """Return the forecast with lengths and angular velocities in other units.
-
-        Parameters
-        ----------
-        length
-            Pixels of the wanted frame per pixel of a 128-pixel frame.
-        rate
-            Frames a second of the observed frames per frame a second of the model.
-        origin
-            Of the wanted frame: pixels of it by which positions are less.
-        """
-        turning, final = self.angular_velocities, self.final_positions
-        return Forecast(
-            self.positions * length - np.array(origin, np.float32),
-            self.covariances * length**2,
-            self.ellipse50_radii,
-            None if turning is None else turning * rate,
-            None if final is None else final * length - np.array(origin, np.float32),
-        )
+    def rescaled(self, units: Units) -> "Forecast":
+        """Return the forecast in the units of other frames than 128-pixel ones."""
+        return replace(self, outputs=rescaled(self.outputs, units))
 
 
 def assemble(
@@ -133,13 +121,7 @@ def assemble(
             scale = np.array(covariance.variance_scale)
             covariances = covariances * scale[_held(steps, len(scale)), None, None]
     half = np.array(covariance.ellipse50_radius or [GAUSSIAN_ELLIPSE50_RADIUS])
-    forecast = Forecast(
-        positions,
-        covariances,
-        half[_held(steps, len(half))],
-        outputs.get("angular_velocities"),
-        outputs.get("final_positions"),
-    )
+    forecast = Forecast({**outputs, "covariances": covariances}, half[_held(steps, len(half))])
     _refuse_divergence(forecast, first_step)
     return forecast
 
@@ -175,7 +157,7 @@ class CovarianceFloor:
         self._largest = floors[..., -1]
         scale = np.maximum(1, floors / np.maximum(traces, 1e-9))
         scaled = covariances * scale[..., None, None].astype(np.float32)
-        return replace(forecast, covariances=scaled)
+        return forecast.having(covariances=scaled)
 
 
 def _held(steps: np.ndarray, known: int) -> np.ndarray:
@@ -184,7 +166,8 @@ def _held(steps: np.ndarray, known: int) -> np.ndarray:
 
 
 def _refuse_divergence(forecast: Forecast, first_step: int) -> None:
-    for values in (forecast.positions, forecast.covariances, forecast.angular_velocities):
+    for spec in STEP_OUTPUTS:
+        values = forecast.outputs.get(spec.name)
         if values is None or np.isfinite(values).all():
             continue
         by_step = np.isfinite(values).all(axis=(0, 1, *range(3, values.ndim)))

@@ -187,7 +187,7 @@ class Registry:
         raise NoSuitableModelError.at(
             "model",
             AUTO_MODEL,
-            f"a model's name: none for objects {objects} and scenario "
+            f"a model's name: none for num_objects {objects} and scenario "
             f"{query.scenario or 'unknown'} {kind}; served are {self._labels()}",
         )
 
@@ -244,7 +244,7 @@ def _check_fit(manifest: Manifest, query: ModelQuery) -> None:
         most = manifest.max_objects
         number = f"{manifest.objects}, the number" if most is None else f"1 to {most}, the numbers"
         raise InvalidValueError.at(
-            "objects", query.objects, f"{number} of balls of {manifest.label}"
+            "num_objects", query.objects, f"{number} of balls of {manifest.label}"
         )
     if query.scenario is not None and query.scenario not in manifest.scenarios:
         expected = f"{' or '.join(manifest.scenarios)}, which {manifest.label} is made for"

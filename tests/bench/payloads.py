@@ -57,7 +57,7 @@ def payload(kind: Kind, images: np.ndarray) -> Payload:
 
 def simulation() -> Payload:
     """Make the request for a short simulation."""
-    body = json.dumps({"scenario": "ellipsoid", "objects": 1, "seed": 7, "steps": 24}).encode()
+    body = json.dumps({"scenario": "ellipsoid", "num_objects": 1, "seed": 7, "steps": 24}).encode()
     return Payload("/simulate", {"Content-Type": "application/json"}, body)
 
 

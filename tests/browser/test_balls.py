@@ -29,7 +29,7 @@ def model(address: str) -> str:
 def places(address: str) -> np.ndarray:
     """Balls of the page's scene with two balls in the last seen frame, pixels."""
     with Client(address) as client:
-        scene = client.simulate("ellipsoid", seed=7, objects=2, steps=4, image_size=SIZE)
+        scene = client.simulate("ellipsoid", seed=7, num_objects=2, steps=4, image_size=SIZE)
     return scene.positions[:, 3]
 
 

@@ -214,7 +214,7 @@ def test_images(page: Page, address: str, scene: Simulation, tmp_path: Path):
     expect(page.locator("#footage-name")).to_contain_text("43 images, frame-0.png to frame-42.png")
     positions = forecast_of(page)
     with Client(address) as client:
-        asked = client.predict(scene.frames[:4], horizon=40, objects=1)
+        asked = client.predict(scene.frames[:4], horizon=40, num_objects=1)
     np.testing.assert_allclose(positions, asked.positions[0], rtol=0, atol=0.05)
     page.fill("#image-rate", "80")
     page.press("#image-rate", "Tab")

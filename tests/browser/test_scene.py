@@ -21,7 +21,7 @@ def test_the_page_begins_with_a_forecast(page: Page):
 def test_the_figures_are_those_of_the_service(page: Page, address: str):
     with Client(address) as client:
         scene = client.simulate("ellipsoid", seed=7, steps=43, image_size=256)
-        forecast = client.predict(scene.frames[:4], horizon=40, scenario="ellipsoid", objects=1)
+        forecast = client.predict(scene.frames[:4], horizon=40, scenario="ellipsoid", num_objects=1)
     errors = np.linalg.norm(forecast.positions[0] - scene.positions[0, 3:43], axis=-1)
     radii = np.sqrt(-2 * np.log(0.05)) * np.linalg.det(forecast.covariances[0]) ** 0.25
     error, radius, _, mean, _ = figures(page)

@@ -27,7 +27,7 @@ def test_json(page: Page):
     name, content = saved(page, "json")
     document = json.loads(content)
     assert name == "rollcast-ellipsoid-7.json"
-    assert document["request"] == {"horizon": 40, "objects": 1, "scenario": "ellipsoid"}
+    assert document["request"] == {"horizon": 40, "num_objects": 1, "scenario": "ellipsoid"}
     (forecast,) = document["forecasts"]
     (ball,) = forecast["objects"]
     assert np.shape(ball["positions"]) == (40, 2)

@@ -112,9 +112,9 @@ def assert_same_forecasts(address: str, other: str, asked: dict[str, object]) ->
 
 
 ASKED = [
-    {"model": "auto", "scenario": "hemisphere", "objects": 1},
-    {"model": "posnet", "scenario": "heightfield", "objects": 1},
-    {"model": "auto", "scenario": "ellipsoid", "objects": 2},
+    {"model": "auto", "scenario": "hemisphere", "num_objects": 1},
+    {"model": "posnet", "scenario": "heightfield", "num_objects": 1},
+    {"model": "auto", "scenario": "ellipsoid", "num_objects": 2},
 ]
 """Forecasts that are the same wherever the service runs."""
 

@@ -470,8 +470,8 @@ WORDS = (
     b"NaN", b"Infinity", b"-Infinity", b"1e400", b"\\ud800", b"\\udfff", b"null", b"true",
     b"[[[[[", b"frames", b"horizon", b"inputs", b"outputs", b"parameters", b"binary_data_size",
     b"binary_data", b"shape", b"datatype", b"UINT8", b"INT64", b"FP32", b"data", b"-1",
-    b"18446744073709551616", b"final_frame", b"final_step", b"frame_rate", b"scenario",
-    b"model", b"objects", b"filename*=", b"Content-Disposition: form-data; name=", b"boundary=",
+    b"18446744073709551616", b"final_frame", b"frame_rate", b"scenario",
+    b"model", b"num_objects", b"filename*=", b"Content-Disposition: form-data; name=", b"boundary=",
     b"charset=", b"Content-Type: ", b"covariance", b"empirical", b"variance_scale",
     b"golden_tolerance", b"format_version",
 )  # fmt: skip

@@ -32,14 +32,14 @@ CALLS = {
     "/simulate": lambda client: client.simulate(
         "ellipsoid", seed=1, steps=5, image_size=32, include_surface=True
     ),
-    "/predict": lambda client: client.predict(FRAMES, horizon=HORIZON, objects=2),
+    "/predict": lambda client: client.predict(FRAMES, horizon=HORIZON, num_objects=2),
     "/predict/stream": lambda client: whole_stream(client),
 }
 """Every call of the client by its path."""
 
 
 def whole_stream(client):
-    stream = client.predict_stream(FRAMES, horizon=HORIZON, objects=2)
+    stream = client.predict_stream(FRAMES, horizon=HORIZON, num_objects=2)
     steps = list(stream)
     assert len(steps) == HORIZON
     return stream.forecast

@@ -90,7 +90,7 @@ class Faltering(Service):
 
 
 def test_a_forecast_is_arrays(client):
-    forecast = client(Service(FORECAST)).predict([FRAME] * 4, horizon=2, objects=2)
+    forecast = client(Service(FORECAST)).predict([FRAME] * 4, horizon=2, num_objects=2)
     assert forecast.positions.shape == (2, 2, 2)
     assert forecast.covariances.shape == (2, 2, 2, 2)
     assert forecast.angular_velocities is not None

@@ -165,7 +165,7 @@ def test_a_refused_rectangle_says_what_helps(client, ask):
 
 def test_other_refusals_have_no_such_advice(client):
     with pytest.raises(BadRequestError) as caught:
-        client(FakeService()).predict(WIDE, balls=POINTS, objects=3)
+        client(FakeService()).predict(WIDE, balls=POINTS, num_objects=3)
     assert caught.value.advice == ""
 
 

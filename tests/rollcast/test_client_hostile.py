@@ -135,7 +135,7 @@ def test_a_longer_wait_than_the_timeout_is_not_begun(client):
 
 def test_a_stream_may_be_read_slowly(client):
     connected = client(httpx2.MockTransport(_valid), timeout_s=0.5)
-    stream = connected.predict_stream(FRAMES, horizon=HORIZON, objects=2)
+    stream = connected.predict_stream(FRAMES, horizon=HORIZON, num_objects=2)
     for step in stream:
         time.sleep(0.3 if step.step < 3 else 0)  # 0.9 s in all
     assert stream.forecast.positions.shape == (2, HORIZON, 2)

@@ -22,13 +22,13 @@ SIDE = 64
 @pytest.fixture(scope="module")
 def scene():
     with Client(transport=FakeService()) as client:
-        return client.simulate("ellipsoid", seed=1, objects=2, image_size=SIDE)
+        return client.simulate("ellipsoid", seed=1, num_objects=2, image_size=SIDE)
 
 
 @pytest.fixture(scope="module")
 def forecast(scene):
     with Client(transport=FakeService(variance_px2=4)) as client:
-        return client.predict(scene.frames[:4], objects=2)
+        return client.predict(scene.frames[:4], num_objects=2)
 
 
 def test_a_data_frame_has_a_row_for_every_step_of_every_ball(forecast):
@@ -98,7 +98,7 @@ def test_frames_may_be_images_cropped_and_at_their_own_times(forecast, scene):
     late = forecast.plot(scene.frames[3:5], times_s=[0, 5.0])
     assert late.size == (OVERVIEW_PX, OVERVIEW_PX)
     with Client(transport=FakeService()) as client:
-        slow = client.predict(scene.frames[:4], objects=2, frame_rate=10, horizon=2)
+        slow = client.predict(scene.frames[:4], num_objects=2, frame_rate=10, horizon=2)
     assert slow.plot(scene.frames[3:6]).size == (OVERVIEW_PX + PANEL_PX, OVERVIEW_PX)
 
 
@@ -199,14 +199,14 @@ def test_numbers_of_numpy_are_numbers(scene):
         again = client.simulate(
             "ellipsoid",
             seed=np.int64(1),
-            objects=np.uint8(2),
+            num_objects=np.uint8(2),
             steps=np.int32(5),
             image_size=np.int64(SIDE),
             textured=np.bool_(False),
             scene={"radius_m": np.float32(0.1), "positions_m": np.zeros((2, 3))},
         )
         forecast = client.predict(
-            again.frames[:4], horizon=np.int64(7), objects=np.int8(2), frame_rate=np.float32(20)
+            again.frames[:4], horizon=np.int64(7), num_objects=np.int8(2), frame_rate=np.float32(20)
         )
     assert forecast.positions.shape == (2, 7, 2)
     assert forecast.frame_rate == 20

@@ -92,8 +92,8 @@ def test_what_the_model_has_not_is_none(client):
 @pytest.mark.parametrize("objects", [1, 2])
 def test_the_streamed_forecast_is_that_of_predict(client, objects):
     connected = client(FakeService())
-    whole = connected.predict(FRAMES, horizon=3, objects=objects)
-    stream = connected.predict_stream(FRAMES, horizon=3, objects=objects)
+    whole = connected.predict(FRAMES, horizon=3, num_objects=objects)
+    stream = connected.predict_stream(FRAMES, horizon=3, num_objects=objects)
     np.testing.assert_array_equal(
         np.stack([arrived.positions for arrived in stream], axis=1), whole.positions
     )

@@ -24,13 +24,13 @@ def test_the_example_in_its_documentation():
 @pytest.mark.parametrize("objects", [1, 2, 3])
 def test_its_forecasts_go_on_where_its_scenes_show_the_balls(client, scenario, objects):
     connected = client(FakeService())
-    scene = connected.simulate(scenario, seed=3, objects=objects, image_size=200, steps=30)
-    forecast = connected.predict(scene.frames[:4], horizon=27, objects=objects)
+    scene = connected.simulate(scenario, seed=3, num_objects=objects, image_size=200, steps=30)
+    forecast = connected.predict(scene.frames[:4], horizon=27, num_objects=objects)
     np.testing.assert_allclose(forecast.positions, scene.positions[:, 3:])
     for ball, channel in enumerate(range(objects)):
         column, row = scene.positions[ball, 20].astype(int)
         assert scene.frames[20, row, column, channel] > 100
-    again = connected.simulate(scene=scene.scene, objects=objects, steps=4)
+    again = connected.simulate(scene=scene.scene, num_objects=objects, steps=4)
     assert again.scene == scene.scene
     assert connected.simulate(scenario, seed=3, include_frames=False).frames is None
 
@@ -59,8 +59,8 @@ def test_forecasts_may_be_chosen(client, path):
     assert connected.predict(FRAMES, horizon=2).positions.shape == (1, 2, 2)
     with pytest.raises(BadRequestError, match="at most 3"):
         connected.predict(FRAMES, horizon=4)
-    with pytest.raises(BadRequestError, match="objects: expected 1"):
-        connected.predict(FRAMES, objects=2)
+    with pytest.raises(BadRequestError, match="num_objects: expected 1"):
+        connected.predict(FRAMES, num_objects=2)
 
 
 def test_problems_may_be_chosen_and_pass(client):

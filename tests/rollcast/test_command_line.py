@@ -201,7 +201,7 @@ DRAWN = "is not a .png, .jpg, .jpeg, .webp, .mp4, .webm, .gif file"
         (["clip.mp4", "--rate", "0"], "0 is not a frame rate in Hz"),
         (["clip.mp4", "--horizon", "0"], "0 is not a whole number from 1 to 1000"),
         (["clip.mp4", "--horizon", "1.5"], "1.5 is not a whole number from 1 to 1000"),
-        (["clip.mp4", "--objects", "9"], "9 is not a whole number from 1 to 8"),
+        (["clip.mp4", "--num-objects", "9"], "9 is not a whole number from 1 to 8"),
         (["clip.mp4", "--scenario", "box"], "box"),
         (["clip.mp4", "--format", "xml"], "xml"),
         (["clip.mp4", "--url", "127.0.0.1:8000"], "is not an address like http://127.0.0.1:8000"),

@@ -95,11 +95,11 @@ def test_slow_motion_has_the_rate_that_is_named(run, service, video):
 
 
 def test_what_is_asked_of_the_service(run, service, images):
-    options = ["--objects", 2, "--scenario", "ellipsoid", "--model", "fake", "--horizon", 7]
+    options = ["--num-objects", 2, "--scenario", "ellipsoid", "--model", "fake", "--horizon", 7]
     assert run(images, *options)[0] == 0
     fields = service.asked[-1].fields
-    assert {name: fields[name] for name in ("objects", "scenario", "model", "horizon")} == {
-        "objects": "2",
+    assert {name: fields[name] for name in ("num_objects", "scenario", "model", "horizon")} == {
+        "num_objects": "2",
         "scenario": "ellipsoid",
         "model": "fake",
         "horizon": "7",
@@ -108,14 +108,14 @@ def test_what_is_asked_of_the_service(run, service, images):
 
 def test_csv_has_every_step_of_every_ball(run, images):
     code, printed, errors = run(
-        images, "--format", "csv", "--objects", 2, "--horizon", 30, "--crop", f"{OFF},0,{SIDE}"
+        images, "--format", "csv", "--num-objects", 2, "--horizon", 30, "--crop", f"{OFF},0,{SIDE}"
     )
     assert code == 0
     assert errors.startswith("rollcast: warning: The horizon of 30 steps"), "CSV has no place"
     rows = list(csv.DictReader(io.StringIO(printed)))
     assert len(rows) == 60
     with Client(transport=FakeService()) as client:
-        forecast = client.predict(np.zeros((4, SIDE, SIDE, 3), np.uint8), objects=2, horizon=30)
+        forecast = client.predict(np.zeros((4, SIDE, SIDE, 3), np.uint8), num_objects=2, horizon=30)
     path = [[float(row["x_px"]), float(row["y_px"])] for row in rows if row["color"] == "green"]
     np.testing.assert_allclose(path, forecast.positions[1] + [OFF, 0])
 

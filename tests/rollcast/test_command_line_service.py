@@ -61,7 +61,7 @@ def test_key_and_address_may_be_given_or_stand_in_the_environment(capsys, monkey
 
 
 def test_a_scene_is_told(run):
-    code, printed, errors = run("simulate", "ellipsoid", "--seed", 7, "--objects", 2)
+    code, printed, errors = run("simulate", "ellipsoid", "--seed", 7, "--num-objects", 2)
     assert (code, errors) == (0, "")
     lines = printed.splitlines()
     assert lines[0] == "ellipsoid, seed 7: 44 steps, 40 a second"
@@ -100,8 +100,7 @@ def test_the_frame_of_a_later_step_goes_along(run, tmp_path):
     assert (code, errors) == (0, "")
     assert len(printed.splitlines()) == 1 + 16
     [asked] = service.asked
-    assert asked.fields["final_step"] == "15"
-    assert "horizon" not in asked.fields
+    assert asked.fields["horizon"] == "16"
     assert asked.final_frame is not None
     shown = sorted((tmp_path / "scene").glob("*.png"))[18]
     with Image.open(io.BytesIO(asked.final_frame)) as sent, Image.open(shown) as picture:
@@ -347,7 +346,7 @@ Options:
   --horizon STEPS                 number of steps to forecast, at the frame rate (default:
                                   {DEFAULT_HORIZON}; with --final up to that frame)
   --model NAME                    auto, NAME or NAME@VERSION  [default: auto]
-  --objects BALLS                 number of balls (default: the model's, 1 with auto; models for
+  --num-objects BALLS             number of balls (default: the model's, 1 with auto; models for
                                   any number of balls forecast the moving ones)
   --ball X,Y[,RADIUS]             selects a ball by a point in the last of the four frames, in
                                   pixels of the uncropped picture; repeat for several balls, in
@@ -380,7 +379,7 @@ Arguments:
 
 Options:
   --seed SEED                seed of the scene  [default: 0]
-  --objects BALLS            number of balls  [default: 1]
+  --num-objects BALLS        number of balls  [default: 1]
   --steps STEPS              number of frames, 40 per second  [default: 44]
   --size PIXELS              frame width and height  [default: 128]
   --url ADDRESS              address of the service (default: ROLLCAST_URL, else

@@ -103,8 +103,7 @@ class AsyncClient(
         horizon: int | numpy.integer[Any] | None = None,
         model: str = 'auto',
         final_frame: Frame | None = None,
-        final_step: int | numpy.integer[Any] | None = None,
-        objects: int | numpy.integer[Any] | None = None,
+        num_objects: int | numpy.integer[Any] | None = None,
         balls: Sequence[rollcast.schemas.BallPrompt | Sequence[float] | numpy.ndarray] | numpy.ndarray | None = None,
         scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
@@ -131,7 +130,7 @@ class AsyncClient(
         scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table']] = None,
         *,
         seed: int | numpy.integer[Any] | None = None,
-        objects: int | numpy.integer[Any] | None = None,
+        num_objects: int | numpy.integer[Any] | None = None,
         steps: int | numpy.integer[Any] = 44,
         start_step: int | numpy.integer[Any] | None = None,
         image_size: int | numpy.integer[Any] = 128,
@@ -195,8 +194,7 @@ class Client(
         horizon: int | numpy.integer[Any] | None = None,
         model: str = 'auto',
         final_frame: Frame | None = None,
-        final_step: int | numpy.integer[Any] | None = None,
-        objects: int | numpy.integer[Any] | None = None,
+        num_objects: int | numpy.integer[Any] | None = None,
         balls: Sequence[rollcast.schemas.BallPrompt | Sequence[float] | numpy.ndarray] | numpy.ndarray | None = None,
         scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
@@ -223,7 +221,7 @@ class Client(
         scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table']] = None,
         *,
         seed: int | numpy.integer[Any] | None = None,
-        objects: int | numpy.integer[Any] | None = None,
+        num_objects: int | numpy.integer[Any] | None = None,
         steps: int | numpy.integer[Any] = 44,
         start_step: int | numpy.integer[Any] | None = None,
         image_size: int | numpy.integer[Any] = 128,
@@ -234,12 +232,9 @@ class Client(
     ) -> rollcast.client.results.Simulation
 Crop = Literal['square']
 class Forecast(
-        positions: jaxtyping.Float64[ndarray, 'objects T 2'],
-        covariances: jaxtyping.Float64[ndarray, 'objects T 2 2'],
+        outputs: Mapping[str, numpy.ndarray],
         covariance_source: Literal['predicted', 'empirical'],
         ellipse50_radii: jaxtyping.Float64[ndarray, 'T'],
-        angular_velocities: jaxtyping.Float64[ndarray, 'objects T 3'] | None,
-        final_positions: jaxtyping.Float64[ndarray, 'objects 2'] | None,
         times_s: jaxtyping.Float64[ndarray, 'T'],
         colors: tuple[str, ...],
         scores: jaxtyping.Float64[ndarray, 'objects'] | None,
@@ -253,6 +248,9 @@ class Forecast(
         warnings: tuple[str, ...],
         timing_ms: rollcast.schemas.PredictTiming,
     ) -> None
+    angular_velocities: jaxtyping.Float64[ndarray, 'objects T 3'] | None
+    covariances: jaxtyping.Float64[ndarray, 'objects T 2 2']
+    final_positions: jaxtyping.Float64[ndarray, 'objects 2'] | None
     def from_events(
         steps: Sequence[rollcast.schemas.StreamStep],
         done: rollcast.schemas.StreamDone,
@@ -268,6 +266,7 @@ class Forecast(
         crop: Optional[Literal['square']] = None,
         panels: int = 6,
     ) -> PIL.Image.Image
+    positions: jaxtyping.Float64[ndarray, 'objects T 2']
     def save(
         self,
         path: pathlib.Path | str,
@@ -286,13 +285,14 @@ class ForecastStep(
         step: int,
         time_s: float,
         ellipse50_radius: float,
-        positions: jaxtyping.Float64[ndarray, 'objects 2'],
-        covariances: jaxtyping.Float64[ndarray, 'objects 2 2'],
-        angular_velocities: jaxtyping.Float64[ndarray, 'objects 3'] | None,
+        outputs: Mapping[str, numpy.ndarray],
     ) -> None
+    angular_velocities: jaxtyping.Float64[ndarray, 'objects 3'] | None
+    covariances: jaxtyping.Float64[ndarray, 'objects 2 2']
     def from_event(
         event: rollcast.schemas.StreamStep,
     ) -> Self
+    positions: jaxtyping.Float64[ndarray, 'objects 2']
 class ForecastStream(
         client: rollcast.client.sync.Client,
         frames: Frames | pathlib.Path | str,

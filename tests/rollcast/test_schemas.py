@@ -13,7 +13,7 @@ IMAGE = base64.b64encode(b"an image").decode()
 def test_frames_are_decoded_from_base64():
     request = PredictRequest.model_validate({"frames": [IMAGE] * 4})
     assert request.frames == [b"an image"] * 4
-    assert (request.model, request.horizon, request.objects, request.frame_rate) == (
+    assert (request.model, request.horizon, request.num_objects, request.frame_rate) == (
         "auto",
         None,
         None,

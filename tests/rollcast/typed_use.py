@@ -30,7 +30,7 @@ from rollcast.schemas import Health, ModelDetail, ModelEntry, Problem
 
 def right(frames: list[np.ndarray]) -> None:
     with Client("http://127.0.0.1:8000", timeout_s=5, retries=0) as client:
-        forecast = client.predict(frames, horizon=20, model="auto", objects=2, crop="square")
+        forecast = client.predict(frames, horizon=20, model="auto", num_objects=2, crop="square")
         client.predict(frames, balls=[(40, 50), (90, 30, 8.0), BallPrompt(x=1, y=2)])
         client.predict(frames, balls=np.zeros((2, 3)))
         assert_type(forecast, Forecast)

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from rollcast.manifest import HASHED_FILES, OUTPUT_SHAPES, Manifest
+from rollcast.manifest import HASHED_FILES, Manifest
 from rollcast.ood import Familiarity
+from rollcast.outputs import SPECS
 from rollcast.rollout import Arrays, Step
 from service.http.image_decoding import OpenedFrames
 from service.serving.registry import Model, Registry
@@ -116,7 +117,7 @@ def manifest(**changes: object) -> Manifest:
     names += ["final_positions"] if fields["final_step"] is not None else []
     derived: dict[str, object] = {
         "outputs": [
-            {"name": name, "shape": (fields["objects"], *OUTPUT_SHAPES[name]), "unit": UNITS[name]}
+            {"name": name, "shape": (fields["objects"], *SPECS[name].shape), "unit": UNITS[name]}
             for name in names
         ],
         "parity": {"max_abs_error": {}, "tolerance": {}},

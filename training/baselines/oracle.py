@@ -16,7 +16,7 @@ from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.scene import Quaternion, Scene, Vector3
 from rollcast.simulation.physics import State, World
 from rollcast.surfaces import HEIGHTFIELD_HALF_WIDTH_M
-from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ, OBSERVED_FRAMES
 
 ITERATIONS = 4
 """Of Gauss and Newton; after the third the fit moves by less than a hundredth of a pixel."""
@@ -81,7 +81,7 @@ class Oracle:
         camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
         plane = camera.unproject(seen)
         frames = OBSERVED_FRAMES - 1
-        speed = (plane[:, 1] - plane[:, 0]) / (1 / 40)
+        speed = (plane[:, 1] - plane[:, 0]) / (1 / FRAME_RATE_HZ)
         motion = np.concatenate([plane[:, 0], speed], axis=1)
         steps = np.tile(np.repeat(DIFFERENCES, 2), (scene.objects, 1))
         self._world.load(scene)

@@ -11,12 +11,14 @@ from training.common.distributed import Share
 from training.common.precision import mixed_precision
 from training.common.run_folder import save_whole
 from training.data.windows import FRAME_SHAPE, Batch
-from training.networks.recurrent import EyedFamily, Sight, State
+from training.networks.recurrent import InitialState, PerceptionFamily, State
 
 TRUTH = ("positions", "angular_velocities")
 
 
-def read_windows(family: EyedFamily, stream: Iterator[Batch], windows: int, path: Path) -> None:
+def read_windows(
+    family: PerceptionFamily, stream: Iterator[Batch], windows: int, path: Path
+) -> None:
     """Write what a family's eye reads of so many windows, and their truth.
 
     Parameters
@@ -64,7 +66,7 @@ def replayed(
         drawn = {name: part[rows] for name, part in readings.items()}
         yield Batch(
             frames=torch.empty(len(own), 0, *FRAME_SHAPE, dtype=torch.uint8),
-            sight=Sight(State(drawn["s"].float(), drawn["p"]), drawn.get("finals")),
+            sight=InitialState(State(drawn["s"].float(), drawn["p"]), drawn.get("finals")),
             positions=drawn["positions"],
             angular_velocities=drawn["angular_velocities"],
         )

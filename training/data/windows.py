@@ -21,7 +21,7 @@ from training.common.distributed import Share
 from training.data.scene_cache import SceneCache
 from training.data.shards import STORED_FRAMES, Recording
 from training.networks.perception import measures_of
-from training.networks.recurrent import Sight
+from training.networks.recurrent import InitialState
 
 MAX_HORIZON = 40
 """Longest forecast that training or evaluation asks of a stored simulation (T_gen)."""
@@ -91,7 +91,7 @@ class Batch(TypedDict):
     """The fields of :class:`Guidance`."""
     practice: NotRequired["Batch"]
     """More windows without frames."""
-    sight: NotRequired[Sight]
+    sight: NotRequired[InitialState]
     """What was read of the frames, in their place."""
 
 

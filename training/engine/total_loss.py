@@ -9,10 +9,10 @@ from training.networks.blocks import PIXEL_UNIT
 from training.networks.fieldnet import FieldFamily, FieldNet, true_state
 from training.networks.perception_state import SightedFamily
 from training.networks.recurrent import (
-    EyedFamily,
     Family,
+    InitialState,
     Observation,
-    Sight,
+    PerceptionFamily,
     State,
     in_float32,
 )
@@ -46,7 +46,7 @@ class Objective:
         if "sight" in batch:
             (s, p), finals = batch["sight"]
             state = State(s.to(self.device), p.to(self.device))
-            seen = Sight(state, None if finals is None else finals.to(self.device))
+            seen = InitialState(state, None if finals is None else finals.to(self.device))
             return self._practised(seen, horizon)
         frames = batch["frames"].to(self.device)
         with mixed_precision(self.device):
@@ -56,11 +56,11 @@ class Objective:
             prompts = (batch["guidance"][0].to(self.device) - PIXEL_UNIT) / PIXEL_UNIT
             return _all_in_float32(self.family(frames, horizon, prompts))
 
-    def _practised(self, sight: Sight, horizon: int) -> dict[str, Observation]:
+    def _practised(self, sight: InitialState, horizon: int) -> dict[str, Observation]:
         """Return every member's forecasts from what was read, or is true."""
-        assert isinstance(self.family, EyedFamily)
+        assert isinstance(self.family, PerceptionFamily)
         with mixed_precision(self.device):
-            return _all_in_float32(self.family.practise(sight, horizon))
+            return _all_in_float32(self.family.forecast_from(sight, horizon))
 
     def _forecast_loss(
         self, forecasts: dict[str, Observation], batch: Batch, horizon: int
@@ -110,14 +110,14 @@ class Objective:
             if recipe.task.final_step is not None:
                 final = centres[:, :, FIRST_FORECAST_FRAME + recipe.task.final_step, :2]
             return self._forecast_loss(
-                self._practised(Sight(start, final), horizon), batch, horizon
+                self._practised(InitialState(start, final), horizon), batch, horizon
             )
         assert explicit.motion is not None
         loss = torch.zeros((), device=self.device)
         truth = centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
         for network in self.family.networks().values():
             assert isinstance(network, FieldNet)
-            moved, turned = network.practise(start, horizon)
+            moved, turned = network.forecast_from(start, horizon)
             turning = Observation(moved[..., :2], None, turned)
             loss = loss + explicit.motion(moved, truth) + recipe.spin_loss(turning, spins)
         return loss

@@ -23,7 +23,7 @@ from training.engine.loop import Optimisation, TrainerConfig, TrainingLoop
 from training.engine.total_loss import Objective
 from training.engine.warm_start import Initial, load_fitting
 from training.networks.fieldnet import FieldNet
-from training.networks.recurrent import EyedFamily, Family
+from training.networks.recurrent import Family, PerceptionFamily
 from training.objectives.metrics import forecast
 from training.recipes.recipe import Recipe, longest_rollout
 
@@ -116,7 +116,7 @@ class Trainer(TrainingLoop[Batch]):
             return self._fresh(recipe.batch_size, self.batches, practice=practice)
         path = self.folder / READINGS
         if not path.exists():
-            assert isinstance(self.family, EyedFamily)
+            assert isinstance(self.family, PerceptionFamily)
             whole = self._fresh(READ_TOGETHER, 0, share=distributed.Share())
             read_windows(self.family, whole, recipe.replay_windows, path)
         batches = replayed(path, recipe.batch_size, recipe.seed, self.batches, distributed.share())

@@ -73,13 +73,7 @@ class TorchFinder:
             beginning = self.network.eye.begin(seen, ground, scene)
             state = self.network.state(seen, beginning, ground)
             made = self.network.roll_out(state, horizon)
-        assert made.covariances is not None
-        assert made.angular_velocities is not None
-        return {
-            "positions": made.positions[0].numpy(),
-            "covariances": made.covariances[0].numpy(),
-            "angular_velocities": made.angular_velocities[0].numpy(),
-        }
+        return {name: value[0].numpy() for name, value in made.outputs().items()}
 
 
 def matched(found: Float[np.ndarray, "found 2"], truth: Float[np.ndarray, "balls 2"]) -> np.ndarray:

@@ -200,7 +200,7 @@ def outcome(
     for index, window in enumerate(windows):
         frames = window.frames[:OBSERVED_FRAMES]
         changed = perturbation.change(frames, np.random.default_rng(index))
-        answer = service.predict(changed, horizon=HORIZON, objects=1, model=model)
+        answer = service.predict(changed, horizon=HORIZON, num_objects=1, model=model)
         off = answer.positions[0, STEP] - perturbation.move(window.positions[0, STEP])
         spread = off @ np.linalg.pinv(answer.covariances[0, STEP]) @ off
         warned = bool(answer.warnings) or any(answer.object_warnings[0])

@@ -26,7 +26,7 @@ from rollcast.trajectory import OBSERVED_FRAMES
 from rollcast.video import every_frame
 from training.networks.blocks import PIXEL_UNIT
 from training.networks.perception import Eye
-from training.networks.recurrent import Network, Reading
+from training.networks.recurrent import Network, PerceptionOutput
 
 EVERY = 2
 """Frames between the beginnings of windows."""
@@ -148,7 +148,7 @@ def eye_look(network: Network) -> Look:
     def look(frames: np.ndarray, prompt: np.ndarray | None) -> np.ndarray:
         prompts = None if prompt is None else torch.from_numpy(prompt[None, None]).float()
         with torch.inference_mode():
-            reading: Reading = eye(torch.from_numpy(frames[None]), prompts)
+            reading: PerceptionOutput = eye(torch.from_numpy(frames[None]), prompts)
         return reading.seen_positions[-1][0, :1].numpy()
 
     return look

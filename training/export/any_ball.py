@@ -26,8 +26,8 @@ from rollcast.manifest import (
     REFINER_OUTPUTS,
     SCENE_INPUTS,
     STEP_FILE,
-    OutputName,
 )
+from rollcast.outputs import OutputName
 from rollcast.patches import PATCH_SIZE
 from rollcast.rollout import roll_on
 from rollcast.trajectory import OBSERVED_FRAMES

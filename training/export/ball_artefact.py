@@ -13,22 +13,21 @@ from rollcast.manifest import (
     CARD_FILE,
     GOLDEN_FILE,
     MANIFEST_FILE,
-    OUTPUT_SHAPES,
     CovarianceSource,
     KinematicSource,
     Manifest,
     MetricRow,
     Output,
-    OutputName,
     Parity,
     StateTensor,
 )
+from rollcast.outputs import SPECS, OutputName
 from rollcast.scene import MAX_BALLS, Scenario
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 from training.evaluation.any_ball import TorchFinder, forecast_sets
 from training.evaluation.evaluate import EvaluationSet, markdown_table, metric_rows
 from training.export.any_ball import OUTPUTS, STATE_NAMES, BallGraphs, write_ball_graphs
-from training.export.export import TOLERANCE, UNITS, evaluate, hashes, proved, with_covariance
+from training.export.export import evaluate, hashes, proved, with_covariance
 from training.export.spec import LICENCE
 from training.export.weight_rounding import round_weights
 from training.networks.any_ball import AnyBallNet
@@ -115,7 +114,8 @@ def export_balls(
             StateTensor(name=STATE_NAMES[1], shape=(1, NUMBERS)),
         ),
         outputs=tuple(
-            Output(name=name, shape=(1, *OUTPUT_SHAPES[name]), unit=UNITS[name]) for name in OUTPUTS
+            Output(name=name, shape=(1, *SPECS[name].shape), unit=SPECS[name].unit)
+            for name in OUTPUTS
         ),
         covariance=judged.covariance,
         angular_velocity=True,
@@ -130,7 +130,7 @@ def export_balls(
         metrics=judged.rows,
         validation_error_px=judged.validation_error_px,
         parity=parity,
-        golden_tolerance={name: TOLERANCE[name] for name in OUTPUTS},
+        golden_tolerance={name: SPECS[name].tolerance for name in OUTPUTS},
         files=hashes(folder),
         licence=LICENCE,
     )

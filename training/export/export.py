@@ -19,16 +19,15 @@ from rollcast.manifest import (
     FAMILIARITY_FILE,
     GOLDEN_FILE,
     MANIFEST_FILE,
-    OUTPUT_SHAPES,
     CovarianceSource,
     Manifest,
     MetricRow,
     Output,
-    OutputName,
     Parity,
     StateTensor,
     gaussian_radius,
 )
+from rollcast.outputs import SPECS, OutputName
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.common.run_folder import read_best
 from training.data.windows import Window, collate
@@ -51,20 +50,6 @@ from training.recipes.recipe import Recipe
 
 Key = TypeVar("Key")
 
-TOLERANCE: Mapping[OutputName, float] = {
-    "positions": 1e-2,
-    "covariances": 5e-2,
-    "angular_velocities": 5e-2,
-    "final_positions": 1e-2,
-}
-"""px, px^2 and rad/s: the largest difference between torch and ONNX Runtime that passes."""
-
-UNITS: Mapping[OutputName, str] = {
-    "positions": "px",
-    "covariances": "px^2",
-    "angular_velocities": "rad/s",
-    "final_positions": "px",
-}
 GOLDEN_SEQUENCES = 2
 CALIBRATED = (0.50, 0.95)
 
@@ -150,11 +135,7 @@ def export(
             for name, tensor in zip(STATE_NAMES, predictor.start(sample), strict=True)
         ),
         outputs=tuple(
-            Output(
-                name=name,
-                shape=(task.objects, *OUTPUT_SHAPES[name]),
-                unit=UNITS[name],
-            )
+            Output(name=name, shape=(task.objects, *SPECS[name].shape), unit=SPECS[name].unit)
             for name in observation
         ),
         covariance=summary.covariance,
@@ -169,7 +150,7 @@ def export(
         metrics=summary.rows,
         validation_error_px=summary.validation_error_px,
         parity=parity,
-        golden_tolerance={name: TOLERANCE[name] for name in observation},
+        golden_tolerance={name: SPECS[name].tolerance for name in observation},
         files=hashes(folder),
         licence=trained.licence,
     )
@@ -260,13 +241,12 @@ def proved(worst: Mapping[OutputName, float]) -> Parity:
         When an output differs by more than its tolerance.
     """
     for name, difference in worst.items():
-        if not difference <= TOLERANCE[name]:
-            raise ValueError(
-                f"{name}: torch and ONNX differ by {difference}, over {TOLERANCE[name]}"
-            )
+        tolerance = SPECS[name].tolerance
+        if not difference <= tolerance:
+            raise ValueError(f"{name}: torch and ONNX differ by {difference}, over {tolerance}")
     return Parity(
         max_abs_error={name: float(f"{value:.2e}") for name, value in worst.items()},
-        tolerance={name: TOLERANCE[name] for name in worst},
+        tolerance={name: SPECS[name].tolerance for name in worst},
     )
 
 

@@ -20,23 +20,22 @@ from rollcast.manifest import (
     EYE_FILE,
     FRAMES_INPUT,
     NEXT_PREFIX,
-    OUTPUT_SHAPES,
     STEP_FILE,
-    OutputName,
 )
+from rollcast.outputs import SPECS, OutputName
 from rollcast.perception_io import FINALS, PLACES, run_perception
 from rollcast.rollout import Arrays, Step, roll_out
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.common.settings import keep_runtime_silent
 from training.export.weight_rounding import rename, store_in_bytes
-from training.networks.perception import Eye, EyedNetwork, looked
-from training.networks.recurrent import Network, Observation, Reading, State
+from training.networks.perception import Eye, PerceptionNetwork, looked
+from training.networks.recurrent import Network, Observation, PerceptionOutput, State
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 STATE_NAMES = State._fields
-READ_NAMES = Reading._fields[1:-1]
+READ_NAMES = PerceptionOutput._fields[1:-1]
 """What an encoder reads; where a final frame is seen, the places there too."""
 _OWN_PREFIX = "network."
 
@@ -57,7 +56,7 @@ class EyeGraph(torch.nn.Module):
 class ReadEncoderGraph(torch.nn.Module):
     """Encoder graph of a network with a separate perception graph."""
 
-    def __init__(self, network: EyedNetwork) -> None:
+    def __init__(self, network: PerceptionNetwork) -> None:
         super().__init__()
         self.network = network
 
@@ -72,7 +71,7 @@ class ReadEncoderGraph(torch.nn.Module):
         finals: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
         """Turn what was read into the state and the first observation, as positional tensors."""
-        reading = Reading((), ground, measures, centres, velocities, spins, features)
+        reading = PerceptionOutput((), ground, measures, centres, velocities, spins, features)
         state = self.network.begin(reading, finals)
         return *state, *present(self.network.observe_first(state))
 
@@ -113,7 +112,7 @@ def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
     """
     outputs = list(first_observation(predictor, frames))
     encoded = [*STATE_NAMES, *outputs]
-    if isinstance(predictor, EyedNetwork):
+    if isinstance(predictor, PerceptionNetwork):
         (eye,) = (EyeGraph(part) for part in predictor.modules() if isinstance(part, Eye))
         seen, read_names = (frames[:, :OBSERVED_FRAMES],), [PLACES, *READ_NAMES]
         write_graph(eye, seen, [FRAMES_INPUT], read_names, folder / EYE_FILE)
@@ -131,7 +130,8 @@ def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
         write_graph(encoder, (frames,), [FRAMES_INPUT], encoded, folder / ENCODER_FILE)
     with torch.inference_mode():
         state = tuple(predictor.start(frames))
-    stepped = [*(NEXT_PREFIX + name for name in STATE_NAMES), *_of_a_step(outputs)]
+    of_steps = [name for name in outputs if SPECS[name].is_per_step]
+    stepped = [*(NEXT_PREFIX + name for name in STATE_NAMES), *of_steps]
     write_graph(StepGraph(predictor), state, list(STATE_NAMES), stepped, folder / STEP_FILE)
 
 
@@ -234,28 +234,16 @@ def run_step(session: "InferenceSession", inputs: Arrays) -> Step:
     """Return the state and the outputs of an encoder or a step."""
     names = [one.name for one in session.get_outputs()]
     values = dict(zip(names, session.run(names, dict(inputs)), strict=True))
-    return Step.split(values, [name for name in OUTPUT_SHAPES if name in values])
+    return Step.split(values, [name for name in SPECS if name in values])
 
 
 def present(observation: Observation) -> tuple[Tensor, ...]:
     """Return the outputs that a network has, in their order."""
-    outputs = observation._replace(reading=None)
-    return tuple(part for part in outputs if isinstance(part, Tensor))
+    return tuple(observation.outputs().values())
 
 
 def first_observation(predictor: Network, frames: Tensor) -> dict[OutputName, Tensor]:
     """First observation by output name, without what the network does not have."""
     with torch.inference_mode():
         observation = predictor.observe_first(predictor.start(frames))
-    named: dict[OutputName, Tensor | None] = {
-        "positions": observation.positions,
-        "covariances": observation.covariances,
-        "angular_velocities": observation.angular_velocities,
-        "final_positions": observation.final_positions,
-    }
-    return {name: value for name, value in named.items() if value is not None}
-
-
-def _of_a_step(outputs: Sequence[OutputName]) -> list[OutputName]:
-    """Return the step graph's outputs: the final position is said by the encoder alone."""
-    return [name for name in outputs if name != "final_positions"]
+    return observation.outputs()

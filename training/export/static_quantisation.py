@@ -24,9 +24,9 @@ from rollcast.manifest import (
     MANIFEST_FILE,
     STEP_FILE,
     Manifest,
-    OutputName,
     Parity,
 )
+from rollcast.outputs import SPECS, OutputName
 from rollcast.scene import Scenario
 from training.common.settings import keep_runtime_silent
 from training.data.windows import collate, compared_horizon
@@ -38,14 +38,6 @@ from training.objectives.metrics import Forecasts, beside_truth
 
 KEPT_IN_FLOAT = ("eye.first.where.", "eye.first.ground.")
 """Convolutions whose outputs are what is read: their rounding would cost most."""
-
-TOLERANCE: Mapping[OutputName, float] = {
-    "positions": 1.0,
-    "covariances": 0.5,
-    "angular_velocities": 0.5,
-    "final_positions": 1.0,
-}
-"""px, px^2, rad/s: the largest difference from torch, and between processors, that passes."""
 
 LEAST_GAIN = 1.5
 MOST_LOSS_PX = 0.2
@@ -108,7 +100,9 @@ def quantise(source: Path, version: int, test_scenes: int, workers: int) -> Mani
             "validation_error_px": summary.validation_error_px,
             "training": float32.training | {"quantised": f"{float32.label}: {comparison}"},
             "parity": parity,
-            "golden_tolerance": {name: TOLERANCE[name] for name in float32.output_names},
+            "golden_tolerance": {
+                name: SPECS[name].quantised_tolerance for name in float32.output_names
+            },
             "files": hashes(folder),
         }
         manifest = Manifest.model_validate(dict(float32) | changed)
@@ -206,7 +200,7 @@ def _write_golden(graphs: Graphs, source: Path, to: Path, horizon: int) -> Parit
     Raises
     ------
     NotWorthItError
-        If a difference exceeds TOLERANCE.
+        If a difference exceeds the output's tolerance.
     """
     with np.load(source) as golden:
         frames = golden[FRAMES_INPUT]
@@ -217,12 +211,13 @@ def _write_golden(graphs: Graphs, source: Path, to: Path, horizon: int) -> Parit
         for name, value in outputs.items()
     }
     for name, difference in off.items():
-        if difference > TOLERANCE[name]:
-            raise NotWorthItError(
-                f"{name}: {difference} different from torch, over {TOLERANCE[name]}"
-            )
+        tolerance = SPECS[name].quantised_tolerance
+        if difference > tolerance:
+            raise NotWorthItError(f"{name}: {difference} different from torch, over {tolerance}")
     np.savez_compressed(to, allow_pickle=False, frames=frames, **outputs)
-    return Parity(max_abs_error=off, tolerance={name: TOLERANCE[name] for name in off})
+    return Parity(
+        max_abs_error=off, tolerance={name: SPECS[name].quantised_tolerance for name in off}
+    )
 
 
 def _card(float32: Manifest, version: int, comparison: str, summary: EvaluationSummary) -> str:

@@ -13,7 +13,7 @@ from training.common.precision import full_precision
 from training.networks.perception import (
     FEATURES,
     Eye,
-    EyedNetwork,
+    PerceptionNetwork,
     ZoomedLook,
     looked,
     of_each,
@@ -22,12 +22,12 @@ from training.networks.perception import (
 )
 from training.networks.recurrent import (
     ANGULAR_VELOCITY_UNIT,
-    EyedFamily,
     Family,
     GaussianOutput,
+    InitialState,
     Observation,
-    Reading,
-    Sight,
+    PerceptionFamily,
+    PerceptionOutput,
     State,
     logit_of_variance,
     pixels,
@@ -250,7 +250,7 @@ class Bend(nn.Module):
         return torch.cat(known, dim=-1)
 
 
-class FieldNet(EyedNetwork):
+class FieldNet(PerceptionNetwork):
     """Eye x rolling: s_t is the map of the ground, which stays, and p_t the balls' states.
 
     With a final frame, p_t also carries each ball's course, and what is observed is bent to it.
@@ -279,11 +279,11 @@ class FieldNet(EyedNetwork):
 
     def _look(
         self, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None
-    ) -> tuple[State, Reading]:
+    ) -> tuple[State, PerceptionOutput]:
         reading, finals = looked(self.eye, frames_BKHW3, prompts_BN2)
         return self.begin(reading, finals), reading
 
-    def begin(self, reading: Reading, finals_BN2: Tensor | None) -> State:
+    def begin(self, reading: PerceptionOutput, finals_BN2: Tensor | None) -> State:
         """h_0 from what the eye read."""
         with full_precision(reading.ground.device):
             doubt = of_each(self.first_doubt, reading.features.detach())
@@ -339,7 +339,7 @@ class FieldNet(EyedNetwork):
         with full_precision(state.s.device):
             return self.roll_out(state, horizon)._replace(reading=reading)
 
-    def practise(self, state: State, horizon: int) -> tuple[Tensor, Tensor]:
+    def forecast_from(self, state: State, horizon: int) -> tuple[Tensor, Tensor]:
         """Centres [B, N, T, 3] and angular velocities [B, N, T, 3] in rad/s from a state on."""
         balls = [Ball.unpacked(state.p)]
         for _ in range(horizon - 1):
@@ -349,7 +349,7 @@ class FieldNet(EyedNetwork):
         return centres, ANGULAR_VELOCITY_UNIT * spins
 
 
-def seen_state(reading: Reading, doubt_BN3: Tensor) -> State:
+def seen_state(reading: PerceptionOutput, doubt_BN3: Tensor) -> State:
     """State at t = 0 from what an eye read."""
     measures = reading.measures[:, None].expand(-1, reading.centres.shape[1], -1)
     ball = Ball(reading.centres, reading.velocities, reading.spins, doubt_BN3, measures)
@@ -377,7 +377,7 @@ def true_state(
     return State(ground_B3GG.nan_to_num(), ball.packed())
 
 
-class FieldFamily(EyedFamily):
+class FieldFamily(PerceptionFamily):
     """Networks with an explicit state; a network of several has an eye of its own."""
 
     def forward(
@@ -389,12 +389,12 @@ class FieldFamily(EyedFamily):
             for name, network in self.networks().items()
         }
 
-    def sight(self, frames_BKHW3: Tensor) -> Sight:
+    def sight(self, frames_BKHW3: Tensor) -> InitialState:
         """Return what the eye of the only network reads of the frames."""
         (network,) = self.networks().values()
-        return Sight(network.start(frames_BKHW3))
+        return InitialState(network.start(frames_BKHW3))
 
-    def practise(self, sight: Sight, horizon: int) -> dict[str, Observation]:
+    def forecast_from(self, sight: InitialState, horizon: int) -> dict[str, Observation]:
         """Observations of the steps 0..horizon-1 of every member."""
         with full_precision(sight.state.p.device):
             return {

@@ -21,7 +21,7 @@ from rollcast.camera import BOWL_HALF_WIDTH_M, NETWORK_FRAME_SIZE
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 from training.common.precision import full_precision
 from training.networks.blocks import PIXEL_UNIT, ResidualConv, cell_centres, normalised_frames
-from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Network, Reading, State
+from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Network, PerceptionOutput, State
 
 FEATURES = 128
 """Numbers that the closest look says of every ball besides its positions."""
@@ -280,7 +280,7 @@ class Eye(nn.Module):
         )
         self.zoomed = zoomed
 
-    def forward(self, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None) -> Reading:
+    def forward(self, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None) -> PerceptionOutput:
         """Look at the observed frames uint8 [B, 4, 128, 128, 3].
 
         Parameters
@@ -307,7 +307,9 @@ class Eye(nn.Module):
             flat = 0.03 * said[..., 3:5]
             velocities = moving + torch.cat([flat, 0.1 * said[..., 5:6]], dim=-1)
             spins = rolling + said[..., 6:]
-        return Reading(looks, ground, measures, centres, velocities, spins, features, radii)
+        return PerceptionOutput(
+            looks, ground, measures, centres, velocities, spins, features, radii
+        )
 
     def at_rest(self, frame_BHW3: Tensor) -> Tensor:
         """Positions [B, N, 2] in a single frame, seen as four of balls that stay put.
@@ -334,19 +336,19 @@ class Eye(nn.Module):
         return (rough, near, exact, zoomed), features, ground, measures, radii
 
 
-class EyedNetwork(Network):
+class PerceptionNetwork(Network):
     """A network whose first state is made of what its only eye reads."""
 
     @abstractmethod
-    def begin(self, reading: Reading, finals_BN2: Tensor | None) -> State:
+    def begin(self, reading: PerceptionOutput, finals_BN2: Tensor | None) -> State:
         """h_0 from a reading and, where a final frame is seen, the positions there."""
 
 
 def looked(
     eye: Eye, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None
-) -> tuple[Reading, Tensor | None]:
+) -> tuple[PerceptionOutput, Tensor | None]:
     """Read the observed frames, and positions [B, N, 2] in a final one where there is one."""
-    reading: Reading = eye(frames_BKHW3[:, :OBSERVED_FRAMES], prompts_BN2)
+    reading: PerceptionOutput = eye(frames_BKHW3[:, :OBSERVED_FRAMES], prompts_BN2)
     if frames_BKHW3.shape[1] == OBSERVED_FRAMES:
         return reading, None
     return reading, eye.at_rest(frames_BKHW3[:, OBSERVED_FRAMES])

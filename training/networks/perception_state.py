@@ -2,7 +2,7 @@
 
 The eye is FieldNet's (``eye.py``). What it reads of the ground and of the balls is spread over the
 8 x 8 cells; from there on the state is learned, as in the compact preset, whose heads it shares.
-States can be spread from the truth as well, so transition and heads practise without any image.
+States can be spread from the truth as well, so transition and heads train without any image.
 """
 
 from collections.abc import Mapping
@@ -20,15 +20,15 @@ from training.networks.blocks import (
 )
 from training.networks.compact import CHANNELS, composed
 from training.networks.fieldnet import Ball, seen_state
-from training.networks.perception import Eye, EyedNetwork, looked
+from training.networks.perception import Eye, PerceptionNetwork, looked
 from training.networks.recurrent import (
-    EyedFamily,
     Family,
+    InitialState,
     Observation,
+    PerceptionFamily,
+    PerceptionOutput,
     Predictor,
-    Reading,
     SharedStateFamily,
-    Sight,
     State,
 )
 from training.networks.task import Task
@@ -55,7 +55,7 @@ class Spread(nn.Module):
         )
         self.norm = ChannelNorm()
 
-    def forward(self, sight: Sight) -> Tensor:
+    def forward(self, sight: InitialState) -> Tensor:
         """s_0 of a sight."""
         ball = Ball.unpacked(sight.state.p)
         numbers = torch.cat([ball.centre[..., 2:], 10 * ball.velocity, ball.spin], dim=-1)
@@ -93,19 +93,19 @@ class SightedEncoder(nn.Module):
         """Frames uint8 to s_0."""
         return self.begin(self.look(frames_BKHW3))
 
-    def look(self, frames_BKHW3: Tensor) -> Sight:
+    def look(self, frames_BKHW3: Tensor) -> InitialState:
         """Return what the eye reads."""
         return sight_of(*looked(self.eye, frames_BKHW3))
 
-    def begin(self, sight: Sight) -> Tensor:
+    def begin(self, sight: InitialState) -> Tensor:
         """s_0 of what was read, or of the truth."""
         with full_precision(sight.state.p.device):
             return self.spread(sight)
 
 
-def sight_of(reading: Reading, finals_BN2: Tensor | None) -> Sight:
+def sight_of(reading: PerceptionOutput, finals_BN2: Tensor | None) -> InitialState:
     """Return what a forecast begins with, from what an eye read; nothing is doubted yet."""
-    return Sight(seen_state(reading, torch.zeros_like(reading.centres)), finals_BN2)
+    return InitialState(seen_state(reading, torch.zeros_like(reading.centres)), finals_BN2)
 
 
 class AttendedTransition(nn.Module):
@@ -167,17 +167,17 @@ class AttendedTransition(nn.Module):
         return (GRID * answer.transpose(1, 2) @ writing).unflatten(2, (GRID, GRID))
 
 
-class SightedPredictor(Predictor, EyedNetwork):
+class SightedPredictor(Predictor, PerceptionNetwork):
     """A predictor over a sighted state."""
 
-    def begin(self, reading: Reading, finals_BN2: Tensor | None) -> State:
+    def begin(self, reading: PerceptionOutput, finals_BN2: Tensor | None) -> State:
         """h_0 from what the eye read."""
         assert isinstance(self.encoder, SightedEncoder)
         s = self.encoder.begin(sight_of(reading, finals_BN2))
         return State(s, self.motion.start(s))
 
 
-class SightedFamily(SharedStateFamily, EyedFamily):
+class SightedFamily(SharedStateFamily, PerceptionFamily):
     """Predictors over one sighted state."""
 
     @property
@@ -187,11 +187,11 @@ class SightedFamily(SharedStateFamily, EyedFamily):
         assert isinstance(encoder, SightedEncoder)
         return encoder
 
-    def sight(self, frames_BKHW3: Tensor) -> Sight:
+    def sight(self, frames_BKHW3: Tensor) -> InitialState:
         """Return what the eye reads of the frames."""
         return self.encoder.look(frames_BKHW3)
 
-    def practise(self, sight: Sight, horizon: int) -> dict[str, Observation]:
+    def forecast_from(self, sight: InitialState, horizon: int) -> dict[str, Observation]:
         """Observations of the steps 0..horizon-1 of every member."""
         return self.roll_out(self.encoder.begin(sight), horizon)
 

@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
+from rollcast.outputs import OUTPUTS, SPECS, OutputName
 from training.networks.blocks import PIXEL_UNIT
 
 ANGULAR_VELOCITY_UNIT = 20.0
@@ -27,7 +28,7 @@ class State(NamedTuple):
     p: Tensor
 
 
-class Sight(NamedTuple):
+class InitialState(NamedTuple):
     """What a forecast of a network with an eye begins with: read of the frames, or true."""
 
     state: State
@@ -37,7 +38,7 @@ class Sight(NamedTuple):
     is seen, or where the state knows them."""
 
 
-class Reading(NamedTuple):
+class PerceptionOutput(NamedTuple):
     """What an eye reads from the frames (``eye.py``); a forecast carries it for its loss alone.
 
     Halves of the frame in image axes (x right, y down, z towards the camera); rad/s / 20.
@@ -72,7 +73,12 @@ class Observation(NamedTuple):
     covariances: Tensor | None
     angular_velocities: Tensor | None
     final_positions: Tensor | None = None
-    reading: Reading | None = None
+    reading: PerceptionOutput | None = None
+
+    def outputs(self) -> dict[OutputName, Tensor]:
+        """Return the outputs that the network has, by name, in the order of ``OUTPUTS``."""
+        values = {spec.name: getattr(self, spec.name) for spec in OUTPUTS}
+        return {name: value for name, value in values.items() if value is not None}
 
 
 class Motion(Protocol):
@@ -287,15 +293,15 @@ class Family(nn.Module):
         return {name: member(frames_BKHW3, horizon) for name, member in self.networks().items()}
 
 
-class EyedFamily(Family, ABC):
+class PerceptionFamily(Family, ABC):
     """Networks that can begin without frames: with what their eye read before, or the truth."""
 
     @abstractmethod
-    def sight(self, frames_BKHW3: Tensor) -> Sight:
+    def sight(self, frames_BKHW3: Tensor) -> InitialState:
         """Return what the eye reads of the frames."""
 
     @abstractmethod
-    def practise(self, sight: Sight, horizon: int) -> dict[str, Observation]:
+    def forecast_from(self, sight: InitialState, horizon: int) -> dict[str, Observation]:
         """Observations of the steps 0..horizon-1 of every member."""
 
 
@@ -357,28 +363,16 @@ class SharedStateFamily(Family):
 
 def in_float32(observation: Observation) -> Observation:
     """Return an observation whose tensors are float32, for a loss under autocast."""
-    covariances, spin, final = observation[1:4]
-    return Observation(
-        observation.positions.float(),
-        None if covariances is None else covariances.float(),
-        None if spin is None else spin.float(),
-        None if final is None else final.float(),
-        observation.reading,
+    return observation._replace(
+        **{name: value.float() for name, value in observation.outputs().items()}
     )
 
 
 def stacked(steps: Sequence[Observation]) -> Observation:
     """Stack the steps' observations after the objects' axis."""
-    return Observation(
-        torch.stack([step.positions for step in steps], dim=2),
-        _stacked([step.covariances for step in steps]),
-        _stacked([step.angular_velocities for step in steps]),
-        steps[0].final_positions,
-        steps[0].reading,
-    )
-
-
-def _stacked(steps: Sequence[Tensor | None]) -> Tensor | None:
-    """Stack an output's steps; None when the network has no such output."""
-    present = [step for step in steps if step is not None]
-    return torch.stack(present, dim=2) if present else None
+    paths = {
+        name: torch.stack([getattr(step, name) for step in steps], dim=2)
+        for name in steps[0].outputs()
+        if SPECS[name].is_per_step
+    }
+    return steps[0]._replace(**paths)

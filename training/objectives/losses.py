@@ -13,7 +13,7 @@ from torch import Tensor
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.networks.blocks import PIXEL_UNIT
 from training.networks.perception import PATCH_HALF_WIDTH, ZOOM_MARGIN, sampled
-from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Observation, Reading
+from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Observation, PerceptionOutput
 
 
 class Loss(Protocol):
@@ -181,7 +181,7 @@ class ReadingLoss:
 
     def __call__(
         self,
-        reading: Reading,
+        reading: PerceptionOutput,
         scene_targets: tuple[Tensor, Tensor, Tensor],
         shake_BK2: Tensor | None = None,
         radii_BN: Tensor | None = None,
@@ -228,7 +228,7 @@ class ReadingLoss:
         unlike = sampled(read, points) - sampled(ground.nan_to_num(), points)
         return (unlike.abs() * (sampled(known, points) > 0.999)).sum(dim=-1).mean()
 
-    def _judged(self, reading: Reading, seen: Tensor) -> list[Tensor]:
+    def _judged(self, reading: PerceptionOutput, seen: Tensor) -> list[Tensor]:
         """Return, for every look, where it is judged: 1 or 0 [B, N, K]."""
         looks = [positions.detach() for positions in reading.seen_positions]
         everywhere = torch.ones_like(looks[0][..., 0])

@@ -16,6 +16,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from rollcast.plot import PALETTE
 from rollcast.scene import SCENARIOS
+from rollcast.trajectory import FRAME_RATE_HZ
 from training.common.run_folder import EVENTS, LOSS
 from training.data.windows import Window
 from training.evaluation.paper import CONSTANT_POSITION, LINEAR_EXTRAPOLATION
@@ -67,7 +68,7 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
         for horizon in trained:
             axes.axvline(horizon, color="#bbbbbb", linewidth=1, zorder=0)
         axes.set(
-            xlabel="T (steps of 1/40 s)", ylabel="position error, px", yscale="log",
+            xlabel=f"T (steps of 1/{FRAME_RATE_HZ} s)", ylabel="position error, px", yscale="log",
             title=f"{title(group.scenario, group.objects, group.condition)}: median and quartiles",
         )  # fmt: skip
         axes.set_ylim(bottom=max(_LEAST_PX, axes.get_ylim()[0]))

@@ -15,7 +15,8 @@ from typing import Any, cast
 import numpy as np
 from jaxtyping import UInt8
 
-from rollcast.manifest import FRAMES_INPUT, OUTPUT_SHAPES, Manifest, OutputName
+from rollcast.manifest import FRAMES_INPUT, Manifest
+from rollcast.outputs import OUTPUTS, OutputName, OutputSpec
 from rollcast.schemas import MAX_HORIZON
 from service.errors import DivergedError, InvalidValueError, MalformedBodyError
 from service.http.oip.schemas import (
@@ -72,11 +73,11 @@ def outputs_of(manifest: Manifest) -> list[TensorMetadata]:
     """Describe the outputs of a model, including covariances of any source."""
     return [
         TensorMetadata(
-            name=name,
+            name=spec.name,
             datatype="FP32",
-            shape=[FREE, manifest.objects, *([] if name == "final_positions" else [FREE]), *shape],
+            shape=[FREE, manifest.objects, *([FREE] if spec.is_per_step else []), *spec.shape],
         )
-        for name, shape in _output_shapes(manifest).items()
+        for spec in _answered_outputs(manifest)
     ]
 
 
@@ -149,7 +150,7 @@ def write_answer(query: Query, manifest: Manifest, forecast: Forecast) -> Messag
     outputs: list[InferOutput] = []
     binary: list[memoryview] = []
     for name, behind in query.outputs.items():
-        tensor = _as_fp32(name, getattr(forecast, name))
+        tensor = _as_fp32(name, forecast.outputs[name])
         outputs.append(
             InferOutput(
                 name=name,
@@ -171,17 +172,13 @@ def write_answer(query: Query, manifest: Manifest, forecast: Forecast) -> Messag
     return Message(b"".join([text, *binary]), len(text) if binary else None)
 
 
-def _output_shapes(manifest: Manifest) -> dict[OutputName, tuple[int, ...]]:
-    return {
-        name: shape
-        for name, shape in OUTPUT_SHAPES.items()
-        if name == "covariances" or name in manifest.output_names
-    }
+def _answered_outputs(manifest: Manifest) -> list[OutputSpec]:
+    return [spec for spec in OUTPUTS if spec.is_required or spec.name in manifest.output_names]
 
 
 def _requested_outputs(request: InferRequest, manifest: Manifest) -> dict[OutputName, bool]:
     by_default = request.parameters is not None and request.parameters.binary_data_output
-    known = list(_output_shapes(manifest))
+    known = [spec.name for spec in _answered_outputs(manifest)]
     wanted: dict[OutputName, bool] = {}
     for index, output in enumerate(request.outputs or ()):
         field = f"outputs[{index}].name"

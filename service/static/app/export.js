@@ -38,9 +38,7 @@ export function asJson({ take, forecasts }, request) {
       ...done,
       objects: objects.map((ball, index) => ({
         ...done?.objects[index],
-        positions: ball.positions,
-        covariances: ball.covariances,
-        angular_velocities: ball.angularVelocities,
+        ...ball,
       })),
       times_s: times,
       ellipse50_radii: ellipse50Radii,

@@ -85,7 +85,7 @@ function requestOf(choices) {
   const points = pointsOf(choices);
   const request = { horizon };
   if (points.length) request.balls = points.map(([x, y]) => ({ x, y }));
-  else if (choices.balls) request.objects = choices.balls;
+  else if (choices.balls) request.num_objects = choices.balls;
   if (choices.source === "scene") return { ...request, scenario: choices.scenario };
   return { ...request, frame_rate: Number(session.take.rate.toFixed(4)) };
 }

@@ -6,7 +6,7 @@ import { FootageError } from "./footage.js";
 
 /** Fields of a request and the controls that set them. */
 const CONTROLS = {
-  seed: "seed", horizon: "horizon", steps: "horizon", objects: "balls-1", balls: "picks", model: "models",
+  seed: "seed", horizon: "horizon", steps: "horizon", num_objects: "balls-1", balls: "picks", model: "models",
   frame_rate: "spacing", frames: "source-footage", final_frame: "final", scenario: "scenario-ellipsoid",
 };
 

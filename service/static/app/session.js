@@ -55,7 +55,7 @@ export class Session {
     const isSlow = isSlowLink() && this.finalIndex === null;
     const asked = {
       scenario,
-      objects: balls,
+      num_objects: balls,
       seed: asNumber(seed),
       image_size: isSlow ? SMALL_IMAGE_SIZE : IMAGE_SIZE,
     };
@@ -224,17 +224,15 @@ function unanswered() {
 function append(forecast, step) {
   forecast.times.push(step.time_s);
   forecast.ellipse50Radii.push(step.ellipse50_radius);
-  for (const { id, position, covariance, angular_velocity } of step.objects) {
-    const ball = (forecast.objects[id] ??= {
-      id,
-      positions: [],
-      covariances: [],
-      angularVelocities: [],
-    });
-    ball.positions.push(position);
-    ball.covariances.push(covariance);
-    ball.angularVelocities.push(angular_velocity);
+  for (const { id, ...outputs } of step.objects) {
+    const ball = (forecast.objects[id] ??= { id });
+    for (const [name, value] of Object.entries(outputs)) (ball[plural(name)] ??= []).push(value);
   }
+}
+
+/** The name of an output at all steps: position -> positions, angular_velocity -> ..._velocities. */
+function plural(name) {
+  return name.endsWith("y") ? `${name.slice(0, -1)}ies` : `${name}s`;
 }
 
 function finish(forecast, done, allMs) {

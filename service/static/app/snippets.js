@@ -19,7 +19,7 @@ export function snippetsOf(session, choices, request) {
 }
 
 function curlOfScene({ session, models, request, base, final }, { scenario, balls, seed }) {
-  const scene = { scenario, objects: balls, seed: Number(seed), steps: session.take.frames.length };
+  const scene = { scenario, num_objects: balls, seed: Number(seed), steps: session.take.frames.length };
   const finalFrame = final === null ? "" : `, "final_frame": f[${final}]`;
   const fields = models.map((model) => JSON.stringify({ model, ...request }).slice(1, -1));
   const bodies = fields.map(
@@ -60,7 +60,7 @@ function pythonOfScene(calls, { scenario, balls, seed }) {
   const steps = session.take.frames.length;
   return python(
     calls,
-    `    scene = client.simulate("${scenario}", objects=${balls}, seed=${Number(seed)}, steps=${steps})\n`,
+    `    scene = client.simulate("${scenario}", num_objects=${balls}, seed=${Number(seed)}, steps=${steps})\n`,
     `scene.frames[:4]${final === null ? "" : `, final_frame=scene.frames[${final}]`}`,
   );
 }

@@ -108,8 +108,8 @@ PREDICT = {
     "horizon in words": (with_fields(horizon="40"), 422, INVALID, "horizon"),
     "half a step": (with_fields(horizon=1.5), 422, INVALID, "horizon"),
     "a yes for a number": (with_fields(horizon=True), 422, INVALID, "horizon"),
-    "no balls": (with_fields(objects=0), 422, INVALID, "objects"),
-    "nine balls": (with_fields(objects=9), 422, INVALID, "objects"),
+    "no balls": (with_fields(num_objects=0), 422, INVALID, "num_objects"),
+    "nine balls": (with_fields(num_objects=9), 422, INVALID, "num_objects"),
     "unknown scenario": (with_fields(scenario="moon"), 422, INVALID, "scenario"),
     "rate 0": (with_fields(frame_rate=0), 422, INVALID, "frame_rate"),
     "wrong content type": (

@@ -1,7 +1,5 @@
 """The recurrent loop and what is made of its outputs, by values that are computed by hand."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from rollcast.manifest import CovarianceSource
+from rollcast.outputs import Units
 from rollcast.rollout import Step, roll_out, stacked
 from service.errors import DivergedError
 from service.inference.rollout import CovarianceFloor, Forecast, assemble
@@ -52,8 +51,8 @@ def test_a_predicted_covariance_is_the_networks():
     given_, made = outputs(), assemble(outputs(), PREDICTED)
     np.testing.assert_array_equal(made.covariances, given_["covariances"])
     np.testing.assert_array_equal(made.positions, given_["positions"])
-    np.testing.assert_array_equal(made.angular_velocities, given_["angular_velocities"])
-    assert made.final_positions is None
+    np.testing.assert_array_equal(made.outputs["angular_velocities"], given_["angular_velocities"])
+    assert "final_positions" not in made.outputs
 
 
 def test_a_variance_scale_is_that_of_its_step_and_the_last_is_held():
@@ -73,7 +72,7 @@ def test_a_half_radius_is_that_of_its_step_and_without_one_a_gaussians(half, fir
     source = CovarianceSource(source="predicted", ellipse50_radius=half)
     made = assemble(outputs(3), source, first_step=first)
     np.testing.assert_allclose(made.ellipse50_radii, expected, atol=1e-5)
-    np.testing.assert_array_equal(made.rescaled(2, 1).ellipse50_radii, made.ellipse50_radii)
+    np.testing.assert_array_equal(made.rescaled(Units(2, 1)).ellipse50_radii, made.ellipse50_radii)
 
 
 @pytest.mark.parametrize(("first", "rows"), [(0, [0, 1, 1]), (1, [1, 1, 1])])
@@ -86,18 +85,20 @@ def test_an_empirical_covariance_is_that_of_its_step_and_the_last_is_held(first,
 
 def test_a_network_without_angular_velocities_has_none():
     made = assemble({"positions": outputs()["positions"]}, TABLE)
-    assert made.angular_velocities is None
-    assert made.rescaled(2, 3).angular_velocities is None
+    assert "angular_velocities" not in made.outputs
+    assert "angular_velocities" not in made.rescaled(Units(2, 3)).outputs
 
 
 def test_lengths_and_rates_are_rescaled():
     final = np.array([[[1.0, 2.0], [3.0, 4.0]]])
     made = assemble(outputs(final_positions=final), PREDICTED)
-    larger = made.rescaled(4.0, 0.5)
+    larger = made.rescaled(Units(4.0, 0.5))
     np.testing.assert_array_equal(larger.positions, made.positions * 4)
     np.testing.assert_array_equal(larger.covariances, made.covariances * 16)
-    np.testing.assert_array_equal(larger.angular_velocities, made.angular_velocities / 2)
-    np.testing.assert_array_equal(larger.final_positions, final * 4)
+    np.testing.assert_array_equal(
+        larger.outputs["angular_velocities"], made.outputs["angular_velocities"] / 2
+    )
+    np.testing.assert_array_equal(larger.outputs["final_positions"], final * 4)
 
 
 @pytest.mark.parametrize("name", ["positions", "covariances", "angular_velocities"])
@@ -144,7 +145,7 @@ def test_covariances_stay_symmetric_positive_and_bounded(values, angles, length,
     symmetric = (symmetric + symmetric.swapaxes(-1, -2)) / 2
     numbers = {"positions": np.zeros((1, 1, 3, 2)), "covariances": symmetric[None, None]}
     source = CovarianceSource(source="predicted", variance_scale=tuple(scale))
-    made = assemble(numbers, source).rescaled(length, 1).covariances[0, 0]
+    made = assemble(numbers, source).rescaled(Units(length)).covariances[0, 0]
     np.testing.assert_array_equal(made, made.swapaxes(-1, -2))
     most = values.max() * max(scale) * length**2
     assert np.abs(made).max() <= most * (1 + 1e-9)
@@ -169,8 +170,7 @@ def test_a_forecast_is_finite_or_refused(positions, first):
 
 
 def test_a_forecast_stays_near_the_frame_and_its_deviations_within_half_of_it():
-    made = replace(
-        assemble(outputs(3), PREDICTED),
+    made = assemble(outputs(3), PREDICTED).having(
         positions=np.array([[[[64.0, 64], [500, 64], [64, -500]]] * 2]),
         covariances=np.array([[[np.diag([9.0, 4]), np.diag([2.0e4, 1e4]), np.eye(2)]] * 2]),
     )
@@ -185,11 +185,11 @@ def test_covariances_do_not_shrink_beyond_the_last_calibrated_step(stepwise):
     sizes = np.array([1.0, 5, 2, 3, 1, 4, 3])
     expected = np.array([1.0, 5, 2, 3, 3, 4, 4])  # three steps are calibrated
     covariances = (sizes[:, None, None] * np.eye(2))[None, None]
-    made = replace(assemble(outputs(7), PREDICTED), covariances=covariances)
+    made = assemble(outputs(7), PREDICTED).having(covariances=covariances)
     floor = CovarianceFloor(3)
     if stepwise:
         answers = [
-            floor.apply(replace(made, covariances=covariances[:, :, k : k + 1]), k).covariances
+            floor.apply(made.having(covariances=covariances[:, :, k : k + 1]), k).covariances
             for k in range(7)
         ]
         kept = np.concatenate(answers, axis=2)

@@ -36,8 +36,8 @@ def answer(client, **fields):
     [
         ({}, "dot"),
         ({"scenario": "footage"}, "table"),
-        ({"objects": 4}, "arena"),
-        ({"objects": 4, "scenario": "footage"}, "arena"),
+        ({"num_objects": 4}, "arena"),
+        ({"num_objects": 4, "scenario": "footage"}, "arena"),
         ({"model": "arena"}, "arena"),
         ({"model": "table", "scenario": "footage"}, "table"),
     ],
@@ -49,10 +49,10 @@ def test_a_rig_answers_for_footage_alone(client, fields, name):
 @pytest.mark.parametrize(
     ("fields", "field", "expected"),
     [
-        ({"objects": 4, "scenario": "ellipsoid"}, "model", "none for objects 4"),
+        ({"num_objects": 4, "scenario": "ellipsoid"}, "model", "none for num_objects 4"),
         ({"model": "arena", "scenario": "ellipsoid"}, "scenario", "footage, which arena@1"),
         ({"model": "dot", "scenario": "footage"}, "scenario", "hemisphere or ellipsoid"),
-        ({"objects": 9}, "objects", "less than or equal to 8"),
+        ({"num_objects": 9}, "num_objects", "less than or equal to 8"),
     ],
 )
 def test_what_does_not_fit_is_refused(client, fields, field, expected):

@@ -25,7 +25,7 @@ def refusal(client, **fields):
         ({"model": "auto"}, "dot@1"),
         ({"scenario": "hemisphere"}, "bowl@1"),
         ({"scenario": "ellipsoid"}, "dot@1"),
-        ({"objects": 2}, "pair@1"),
+        ({"num_objects": 2}, "pair@1"),
         ({"model": "dot"}, "dot@1"),
         ({"model": "dot@2"}, "dot@2"),
         ({"model": "line"}, "line@1"),
@@ -58,14 +58,13 @@ def test_a_refused_model_says_why(client):
 @pytest.mark.parametrize(
     ("fields", "field", "expected"),
     [
-        ({"model": "dot", "objects": 2}, "objects", "1, the number of balls of dot@1"),
+        ({"model": "dot", "num_objects": 2}, "num_objects", "1, the number of balls of dot@1"),
         (
             {"model": "bowl", "scenario": "ellipsoid"},
             "scenario",
             "hemisphere, which bowl@1 is made for",
         ),
         ({"model": "between"}, "final_frame", "an image of step 9, which between@1 needs"),
-        ({"final_step": 9}, "final_step", "a final_frame with it"),
     ],
 )
 def test_a_named_model_that_does_not_fit(client, fields, field, expected):
@@ -76,7 +75,7 @@ def test_a_named_model_that_does_not_fit(client, fields, field, expected):
 
 
 def test_auto_without_a_suitable_model(client):
-    status, problem = refusal(client, objects=3)
+    status, problem = refusal(client, num_objects=3)
     assert status == 422
     assert problem["type"] == "/problems/no-suitable-model"
     assert "dot@1" in problem["expected"]
@@ -86,7 +85,6 @@ def test_auto_without_a_suitable_model(client):
     ("fields", "field", "expected"),
     [
         ({"horizon": "40"}, "horizon", "10, final_step + 1 of between@1"),
-        ({"final_step": "39"}, "final_step", "9, the step that between@1 is made for"),
         ({"model": "dot"}, "final_frame", "none: dot@1 reads the observed frames alone"),
     ],
 )
@@ -98,10 +96,10 @@ def test_a_final_frame_accepts_only_what_its_model_is_made_for(client, fields, f
     assert (response.json()["field"], response.json()["expected"]) == (field, expected)
 
 
-def test_the_horizon_and_step_that_a_final_frame_fixes_may_be_said(client):
+def test_the_horizon_that_a_final_frame_fixes_may_be_said(client):
     images = moving_dot(frames=5)
     files = [*parts(images[:4]), ("final_frame", ("f.png", images[4]))]
-    fields = {"horizon": "10", "final_step": "9"}
+    fields = {"horizon": "10"}
     assert client.post("/predict", files=files, data=fields).status_code == 200
 
 

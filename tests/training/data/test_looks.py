@@ -18,7 +18,7 @@ from training.data.scene_cache import SceneCache
 from training.data.shards import Recording
 from training.data.windows import Look, Symmetry, WindowMaker, collate
 from training.networks.perception import measures_of
-from training.networks.recurrent import Reading
+from training.networks.recurrent import PerceptionOutput
 from training.objectives.losses import ReadingLoss
 
 POSE = CameraPose(1.2, (3.0, -2.0), 0.5, (0.1, -0.05), 0.08)
@@ -229,7 +229,7 @@ def test_what_is_not_known_costs_nothing():
     batch = collate([window])
     centres, ground, measures = batch["scene_targets"]
     seen = centres[:, :, :4, :2]
-    reading = Reading(
+    reading = PerceptionOutput(
         (seen, seen, seen), torch.randn(1, 3, 32, 32), torch.randn(1, 2),
         torch.cat([seen[:, :, 3], torch.randn(1, 1, 1)], dim=-1),
         torch.cat([seen[:, :, 3] - seen[:, :, 2], torch.randn(1, 1, 1)], dim=-1),

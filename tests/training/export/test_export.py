@@ -14,7 +14,7 @@ from training.evaluation.evaluate import evaluation_sets
 from training.export.export import export, fit_covariance, measure_parity, with_covariance
 from training.export.load import load_exported, read_initial, read_parameters
 from training.export.spec import Trained
-from training.networks.perception import EyedNetwork
+from training.networks.perception import PerceptionNetwork
 from training.objectives.metrics import Forecasts
 from training.recipes.compact import one_ball, one_ball_between
 from training.recipes.field import field_one_ball
@@ -79,7 +79,7 @@ def test_parameters_come_back_from_the_graphs(exported):
 
 def test_an_eye_is_stored_in_bytes(exported):
     _, _, predictor, folder, _ = exported
-    if not isinstance(predictor, EyedNetwork):
+    if not isinstance(predictor, PerceptionNetwork):
         assert not (folder / EYE_FILE).exists()
         return
     stored = {one.name: one for one in onnx.load(folder / EYE_FILE).graph.initializer}

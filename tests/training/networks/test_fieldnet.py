@@ -14,7 +14,7 @@ from training.networks.perception import (
     rolling_spin,
     sampled,
 )
-from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Observation, Reading, State
+from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Observation, PerceptionOutput, State
 from training.networks.task import Task
 from training.objectives.losses import (
     DistanceLoss,
@@ -186,7 +186,7 @@ def test_a_perfect_reading_costs_nothing():
     velocities = now - centres[:, :, 2]
     unused = torch.zeros(3, 1, 3)
     looks = (seen, seen, seen)
-    perfect = Reading(looks, ground, measures, now, velocities, unused, unused)
+    perfect = PerceptionOutput(looks, ground, measures, now, velocities, unused, unused)
     unknown = ground.clone()
     unknown[:, :, :4] = torch.nan
     loss = ReadingLoss()
@@ -207,7 +207,7 @@ def test_the_ground_counts_most_where_the_balls_will_be():
         read[0, 2, row - 1 : row + 1, column - 1 : column + 1] = 0.1
         velocities, unused = now - centres[:, :, 2], torch.zeros(1, 1, 3)
         looks, measures = (seen,) * 3, torch.zeros(1, 2)
-        reading = Reading(looks, read, measures, now, velocities, unused, unused)
+        reading = PerceptionOutput(looks, read, measures, now, velocities, unused, unused)
         costs.append(float(ReadingLoss()(reading, (centres, ground, torch.zeros(1, 2)))))
     assert costs[0] > 2 * costs[1] > 0
 
@@ -287,7 +287,7 @@ def test_a_way_that_ends_well_is_left_alone():
     start = balls(torch.tensor([[[0.1, -0.2, 0.3]]]), torch.tensor([[[0.02, 0.01, 0.0]]]))
     state = State(torch.randn(1, 3, 32, 32), start.packed())
     with torch.inference_mode():
-        own, _ = network.practise(state, 8)
+        own, _ = network.forecast_from(state, 8)
         bent = network.roll_out(network.aimed(state, own[:, :, -1, :2]), 8)
     torch.testing.assert_close(bent.positions, 64 + 64 * own[..., :2])
 
@@ -340,7 +340,9 @@ def test_a_closer_look_is_judged_where_it_can_see_the_ball():
     for lost, place in ((False, 0.2), (True, 0.8)):
         looks = (seen + place, (seen + place + 0.1).requires_grad_(), seen + place)
         centres = torch.zeros(1, 1, 3) + place
-        reading = Reading(looks, ground, torch.zeros(1, 2), centres, unused, unused, unused)
+        reading = PerceptionOutput(
+            looks, ground, torch.zeros(1, 2), centres, unused, unused, unused
+        )
         ReadingLoss(within_reach=True)(reading, truth).backward()
         costs[lost] = float(looks[1].grad.abs().sum())
     assert costs[False] > 0

@@ -13,7 +13,7 @@ from training.engine.warm_start import Initial, load_fitting
 from training.export.export import export_run
 from training.export.load import load_exported
 from training.networks.fieldnet import Ball, FieldNet, seen_state
-from training.networks.perception_state import Sight, SightedFamily, sighted_family
+from training.networks.perception_state import InitialState, SightedFamily, sighted_family
 from training.networks.recurrent import State
 from training.networks.task import Task
 from training.recipes.sighted import sighted_one_ball, sighted_one_ball_between
@@ -42,13 +42,13 @@ def unsettled_field_net() -> FieldNet:
     return network
 
 
-def sight(objects: int = 1, batch: int = 2, *, final: bool = False) -> Sight:
+def sight(objects: int = 1, batch: int = 2, *, final: bool = False) -> InitialState:
     """Balls of any state over any ground."""
     generator = torch.Generator().manual_seed(5)
     ground = 0.3 * torch.randn(batch, 3, 32, 32, generator=generator)
     numbers = 0.2 * torch.randn(batch, objects, 14, generator=generator)
     finals = torch.rand(batch, objects, 2, generator=generator) - 0.5
-    return Sight(State(ground, numbers), finals if final else None)
+    return InitialState(State(ground, numbers), finals if final else None)
 
 
 @pytest.mark.parametrize("frames", [4, 5])
@@ -60,7 +60,7 @@ def test_frames_and_what_is_read_of_them_give_the_same_forecast(frames):
         reading = networks.encoder.eye(FRAMES[:, :4])
         state = seen_state(reading, torch.zeros_like(reading.centres))
         finals = networks.encoder.eye.at_rest(FRAMES[:, 4]) if frames == 5 else None
-        again = networks.practise(Sight(state, finals), 5)["it"]
+        again = networks.forecast_from(InitialState(state, finals), 5)["it"]
     torch.testing.assert_close(made.positions, again.positions)
     torch.testing.assert_close(made.angular_velocities, again.angular_velocities)
     assert (made.final_positions is None) == (frames == 4)
@@ -96,11 +96,13 @@ def test_balls_may_change_places(interaction):
         for parameter in networks.parameters():
             parameter.add_(0.02 * torch.randn(parameter.shape))
     known = sight(objects=2)
-    swapped = Sight(State(known.state.s, known.state.p.flip(1)), None)
+    swapped = InitialState(State(known.state.s, known.state.p.flip(1)), None)
     with torch.inference_mode():
-        made = networks.practise(known, 6)["it"].positions
-        other = networks.practise(swapped, 6)["it"].positions
-        alone = networks.practise(Sight(State(known.state.s, known.state.p[:, :1]), None), 6)["it"]
+        made = networks.forecast_from(known, 6)["it"].positions
+        other = networks.forecast_from(swapped, 6)["it"].positions
+        alone = networks.forecast_from(
+            InitialState(State(known.state.s, known.state.p[:, :1]), None), 6
+        )["it"]
     torch.testing.assert_close(made.flip(1), other)
     same = torch.allclose(alone.positions[:, 0], made[:, 0], atol=1e-4)
     assert same != interaction
@@ -115,10 +117,10 @@ def test_two_balls_begin_as_one_ball_twice():
     load_fitting(two.networks()["it"], one.networks()["it"].state_dict())
     known = sight(objects=2)
     with torch.inference_mode():
-        together = two.practise(known, 6)["it"].positions
+        together = two.forecast_from(known, 6)["it"].positions
         for ball in range(2):
-            part = Sight(State(known.state.s, known.state.p[:, ball : ball + 1]), None)
-            alone = one.practise(part, 6)["it"].positions
+            part = InitialState(State(known.state.s, known.state.p[:, ball : ball + 1]), None)
+            alone = one.forecast_from(part, 6)["it"].positions
             torch.testing.assert_close(together[:, ball : ball + 1], alone)
 
 

@@ -65,12 +65,12 @@ def test_answers_are_in_the_pixels_of_any_rectangle(client, size):
 def test_without_prompts_as_many_balls_as_move_are_followed(client):
     told = ask(client, paths((40, 50), (90, 30), (70, 100)), model="dots")
     assert len(told["objects"]) == 3
-    assert len(ask(client, paths((40, 50), (90, 30)), model="dots", objects=1)["objects"]) == 1
+    assert len(ask(client, paths((40, 50), (90, 30)), model="dots", num_objects=1)["objects"]) == 1
 
 
 def test_more_balls_than_other_models_follow_come_from_one_for_any_number(client):
     seen = paths(*((20 + 22 * k, 30 + 15 * (k % 3)) for k in range(5)))
-    told = ask(client, seen, objects=5)
+    told = ask(client, seen, num_objects=5)
     assert told["model"]["name"] == "dots"
     assert ask(client, seen[:1])["model"]["name"] == "dot"
 
@@ -120,11 +120,11 @@ def test_requests_for_other_numbers_of_balls_do_not_mix(client):
         ({"balls": prompt(*[(9, 9)] * 9)}, "balls", "at most 8"),
         ({"balls": [{"x": 1, "y": 2, "radius": 0}]}, "balls.0.radius", "greater than 0"),
         ({"balls": "no"}, "balls", "JSON"),
-        ({"balls": prompt((4, 3)), "objects": 2}, "objects", "1, the number of balls"),
+        ({"balls": prompt((4, 3)), "num_objects": 2}, "num_objects", "1, the number of balls"),
         ({"balls": prompt((4, 3)), "model": "dot"}, "balls", "none: dot@1"),
-        ({"model": "dots", "objects": 3}, "objects", "at most"),
-        ({"model": "dot", "objects": 3}, "objects", "1, the number of balls of dot@1"),
-        ({"objects": 9}, "objects", "less than or equal to 8"),
+        ({"model": "dots", "num_objects": 3}, "num_objects", "at most"),
+        ({"model": "dot", "num_objects": 3}, "num_objects", "1, the number of balls of dot@1"),
+        ({"num_objects": 9}, "num_objects", "less than or equal to 8"),
     ],
 )
 def test_what_does_not_fit_is_refused(client, fields, field, expected):
@@ -187,7 +187,7 @@ def test_auto_takes_scenarios_that_no_other_model_knows(start):
     made = start(lambda *_: Registry([served(), bowls, served_balls()]))
     images = files(dots(paths((40, 50), (90, 30)), 128, 128))
     for scenario, name in (("ellipsoid", "pair"), ("hemisphere", "dots")):
-        response = made.post("/predict", json=body(images, objects=2, scenario=scenario))
+        response = made.post("/predict", json=body(images, num_objects=2, scenario=scenario))
         assert response.status_code == 200, response.text
         assert response.json()["model"]["name"] == name
 

@@ -28,7 +28,7 @@ def simulator(tmp_path_factory):
 
 
 def test_the_answer_has_every_field_of_the_design(simulator):
-    answer = simulator.post("/simulate", json=SCENE | {"image_size": 64, "objects": 2}).json()
+    answer = simulator.post("/simulate", json=SCENE | {"image_size": 64, "num_objects": 2}).json()
     assert list(answer) == [
         "scenario",
         "seed",
@@ -159,11 +159,11 @@ BAD = {
     "one thing twice": ({"radius_m": 0.1, "scene": {"radius_m": 0.2}}, "radius_m"),
     "two seeds": ({"scene": {"seed": 4}}, "seed"),
     "two scenarios": ({"scene": {"scenario": "hemisphere"}}, "scenario"),
-    "balls disagree": ({"objects": 2, "positions_m": [[0, 0, 0]]}, "objects"),
+    "balls disagree": ({"num_objects": 2, "positions_m": [[0, 0, 0]]}, "num_objects"),
     "a number in words": ({"radius_m": "0.1"}, "scene.radius_m"),
     "a radius out of range": ({"radius_m": 9}, "radius_m"),
     "not of this scenario": ({"noise_scale": 0.5}, None),
-    "textured balls": ({"objects": 2, "textured": True}, "textured"),
+    "textured balls": ({"num_objects": 2, "textured": True}, "textured"),
 }
 
 

@@ -28,8 +28,8 @@ def events_of(text: str) -> list[tuple[str, dict]]:
 
 @pytest.mark.parametrize("objects", [1, 2])
 def test_the_events_are_the_answer_of_predict_in_pieces(client, objects):
-    whole = client.post("/predict", json=body(horizon=5, objects=objects)).json()
-    response = client.post("/predict/stream", json=body(horizon=5, objects=objects))
+    whole = client.post("/predict", json=body(horizon=5, num_objects=objects)).json()
+    response = client.post("/predict/stream", json=body(horizon=5, num_objects=objects))
     assert response.headers["content-type"].startswith("text/event-stream")
     *steps, (last, done) = events_of(response.text)
     assert [name for name, _ in steps] == ["step"] * 5
