@@ -33,6 +33,8 @@ COMPONENTS = 24
 LATEST_START = 140
 """Last frame of a simulation at which a window may begin, as in training."""
 WINDOWS_A_SCENE = 24
+FOUND_PX = 0.5
+"""Standard deviation of a place up to which a ball is found, whatever is usual."""
 PLACED_A_SCENE = 4
 """Windows of a scene in which a network places the balls, for the threshold of its certainty."""
 CLIP_FRAMES_BETWEEN = 3
@@ -179,7 +181,8 @@ def _fit_place_uncertainty(folder: Path, scenes: int, workers: int) -> Manifest:
             found.append(np.linalg.eigvalsh(scale * made.covariances[:, :, 0])[..., -1].max(axis=1))
         return np.sqrt(np.concatenate(found))
 
-    threshold = round(float(np.quantile(sigmas("validation"), 1 - FALSE_ALARMS)), 3)
+    usual = float(np.quantile(sigmas("validation"), 1 - FALSE_ALARMS))
+    threshold = round(max(usual, FOUND_PX), 3)
     fresh = sigmas("test")
     known = PlaceUncertainty(
         threshold_px=threshold,
