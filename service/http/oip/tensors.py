@@ -6,15 +6,16 @@ little-endian, row-major, in the order of the tensors. Lengths are those of 128-
 Axes: B requests, N balls, T steps, K frames.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from math import prod
 from typing import Any, cast
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 
+from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import FRAMES_INPUT, Manifest
 from rollcast.outputs import OUTPUTS, OutputName, OutputSpec
 from rollcast.schemas import MAX_HORIZON
@@ -30,6 +31,7 @@ from service.http.oip.schemas import (
 from service.inference.rollout import Forecast
 
 HORIZON_INPUT = "horizon"
+BALLS_INPUT = "balls"
 LENGTH_HEADER = "Inference-Header-Content-Length"
 """Length of the JSON before the binary tensors; without this header there are none."""
 FREE = -1
@@ -48,6 +50,8 @@ class Query:
     id: str | None
     frames: UInt8[np.ndarray, "B K 128 128 3"]
     horizon: int
+    balls: Float32[np.ndarray, "B N 2"] | None
+    """Points in the last observed frames that select the balls, pixels of 128."""
     outputs: Mapping[OutputName, bool]
     """The wanted ones in order, and whether each comes behind the JSON."""
 
@@ -63,19 +67,23 @@ class Message:
 
 def inputs_of(manifest: Manifest) -> list[TensorMetadata]:
     """Describe the inputs of a model."""
-    return [
+    inputs = [
         TensorMetadata(name=FRAMES_INPUT, datatype="UINT8", shape=[FREE, *manifest.frames_shape]),
         TensorMetadata(name=HORIZON_INPUT, datatype="INT64", shape=[1]),
     ]
+    if manifest.max_objects is not None:
+        inputs.append(TensorMetadata(name=BALLS_INPUT, datatype="FP32", shape=[FREE, FREE, 2]))
+    return inputs
 
 
 def outputs_of(manifest: Manifest) -> list[TensorMetadata]:
     """Describe the outputs of a model, including covariances of any source."""
+    balls = manifest.objects if manifest.max_objects is None else FREE
     return [
         TensorMetadata(
             name=spec.name,
             datatype="FP32",
-            shape=[FREE, manifest.objects, *([FREE] if spec.is_per_step else []), *spec.shape],
+            shape=[FREE, balls, *([FREE] if spec.is_per_step else []), *spec.shape],
         )
         for spec in _answered_outputs(manifest)
     ]
@@ -131,12 +139,16 @@ def read_query(
         expected = f"{manifest.name}, the name in the path, or none"
         raise InvalidValueError.at("model_name", request.model_name, expected)
     outputs = _requested_outputs(request, manifest)
-    tensors = _read_tensors(request.inputs, binary, inputs_of(manifest), max_batch)
+    limits = (max_batch, manifest.max_objects or 1)
+    tensors = _read_tensors(request.inputs, binary, inputs_of(manifest), limits)
     if FRAMES_INPUT not in tensors:
         given = ", ".join(tensors) or "empty"
         raise InvalidValueError.at("inputs", given, f"{FRAMES_INPUT} among them")
     horizon = _horizon(tensors.get(HORIZON_INPUT), manifest)
-    return Query(request.id, tensors[FRAMES_INPUT], horizon, outputs)
+    frames, balls = tensors[FRAMES_INPUT], tensors.get(BALLS_INPUT)
+    if balls is not None:
+        _check_balls(balls, len(frames))
+    return Query(request.id, frames, horizon, balls, outputs)
 
 
 def write_answer(query: Query, manifest: Manifest, forecast: Forecast) -> Message:
@@ -195,7 +207,7 @@ def _read_tensors(
     inputs: Sequence[InferInput],
     binary: memoryview,
     declared: Sequence[TensorMetadata],
-    max_batch: int,
+    limits: Sequence[int],
 ) -> dict[str, np.ndarray]:
     known = {tensor.name: tensor for tensor in declared}
     tensors: dict[str, np.ndarray] = {}
@@ -206,7 +218,7 @@ def _read_tensors(
             raise InvalidValueError.at(f"{field}.name", given.name, _one_of(known))
         if given.name in tensors:
             raise InvalidValueError.at(f"{field}.name", given.name, "every input once")
-        _check_kind(given, known[given.name], field, max_batch)
+        _check_kind(given, known[given.name], field, limits)
         if given.binary_size is None:
             tensors[given.name] = _from_json(given, field)
         else:
@@ -218,15 +230,19 @@ def _read_tensors(
     return tensors
 
 
-def _check_kind(given: InferInput, declared: TensorMetadata, field: str, max_batch: int) -> None:
+def _check_kind(
+    given: InferInput, declared: TensorMetadata, field: str, limits: Sequence[int]
+) -> None:
     if given.datatype != declared.datatype:
         raise InvalidValueError.at(f"{field}.datatype", given.datatype, declared.datatype)
+    free = dict(enumerate(limits[: declared.shape.count(FREE)]))
     fits = len(given.shape) == len(declared.shape) and all(
-        1 <= length <= max_batch if wanted == FREE else length == wanted
-        for length, wanted in zip(given.shape, declared.shape, strict=True)
+        1 <= length <= free[axis] if axis in free else length == wanted
+        for axis, (length, wanted) in enumerate(zip(given.shape, declared.shape, strict=True))
     )
     if not fits:
-        free = f", the first axis 1 to {max_batch}" if FREE in declared.shape else ""
+        axes = zip(("first", "second"), free.values(), strict=False)
+        free = "".join(f", the {axis} axis 1 to {most}" for axis, most in axes)
         raise InvalidValueError.at(
             f"{field}.shape", str(given.shape), f"{declared.shape}{free}, for {declared.name}"
         )
@@ -257,18 +273,31 @@ def _from_json(given: InferInput, field: str) -> np.ndarray:
     if numbers is None:
         expected = f"{prod(given.shape)} numbers, or lists nested as {given.shape}"
         raise InvalidValueError.at(field, given.data, expected)
+    if dtype.kind == "f":
+        _check_each(numbers, _is_number, field, "numbers")
+        return np.array(numbers, dtype).reshape(given.shape)
     limits = np.iinfo(dtype)
     expected = f"whole numbers, {limits.min} to {limits.max}"
     if set(map(type, numbers)) != {int}:
-        wrong = next((number for number in numbers if not _is_whole(number)), None)
-        if wrong is not None:
-            raise InvalidValueError.at(field, wrong, expected)
+        _check_each(numbers, _is_whole, field, expected)
         numbers = list(map(int, numbers))
     try:
         return np.array(numbers, dtype).reshape(given.shape)
     except OverflowError as error:
         wrong = next(number for number in numbers if not limits.min <= number <= limits.max)
         raise InvalidValueError.at(field, wrong, expected) from error
+
+
+def _check_each(
+    values: Sequence[object], fits: Callable[[object], bool], field: str, expected: str
+) -> None:
+    for value in values:
+        if not fits(value):
+            raise InvalidValueError.at(field, value, expected)
+
+
+def _is_number(value: object) -> bool:
+    return type(value) in {int, float}
 
 
 def _is_whole(number: object) -> bool:
@@ -289,6 +318,16 @@ def _flattened(data: list[Any], shape: Sequence[int]) -> list[Any] | None:
 
 def _is_row(value: object, length: int) -> bool:
     return isinstance(value, list) and len(cast("list[object]", value)) == length
+
+
+def _check_balls(balls: np.ndarray, batch: int) -> None:
+    if len(balls) != batch:
+        expected = f"{batch} on the first axis, as many as {FRAMES_INPUT}"
+        raise InvalidValueError.at(BALLS_INPUT, str(list(balls.shape)), expected)
+    outside = ~((balls >= 0) & (balls <= NETWORK_FRAME_SIZE)).all(axis=-1)
+    if outside.any():
+        expected = f"points x, y of the frames, 0 to {NETWORK_FRAME_SIZE}"
+        raise InvalidValueError.at(BALLS_INPUT, str(balls[outside][0].tolist()), expected)
 
 
 def _horizon(tensor: np.ndarray | None, manifest: Manifest) -> int:

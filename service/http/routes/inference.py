@@ -3,8 +3,10 @@
 from functools import partial
 from math import prod
 
+import numpy as np
 from fastapi import APIRouter, Request, Response, status
 
+from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.rollout import Outputs, stacked
 from rollcast.schemas import API_VERSION
 from service.http.oip.schemas import (
@@ -29,6 +31,7 @@ from service.http.oip.tensors import (
 from service.http.openapi import errors_of, tensors_of
 from service.http.problem_details import PROTOCOL_PATH
 from service.http.request_body import JSON, MAX_VALUES, Body, parse_json, received
+from service.inference.ball_predictor import BallPredictor
 from service.inference.deadlines import (
     CLIENT_CLOSED_REQUEST,
     ClientGoneError,
@@ -204,7 +207,15 @@ class Batch:
         request = parse_json(text, InferRequest, MAX_VALUES + numbers + numbers // 2)
         self._query = read_query(request, binary, manifest, most)
         self._stages.begin("encode")
-        return DecodedRequest(self._predictor, self._query.frames, self._query.horizon)
+        frames, points = self._query.frames, self._query.balls
+        if points is None:
+            return DecodedRequest(self._predictor, frames, self._query.horizon)
+        predictor = self._predictor
+        assert isinstance(predictor, BallPredictor)  # others have no such input
+        prompts = 2 * points / NETWORK_FRAME_SIZE - 1
+        found = [predictor.find(*each) for each in zip(frames, prompts, strict=True)]
+        packed = np.concatenate([one.packed for one in found])
+        return DecodedRequest(predictor.rollout(points.shape[1]), packed, self._query.horizon)
 
     def step(self, index: int, outputs: Outputs) -> None:
         """Keep a step's outputs."""

@@ -321,6 +321,7 @@ REFUSED = {
         as_json(model_name="line"),
         "model_name is line, expected dot, the name in the path",
     ),
+    "null": (with_horizon("null"), "inputs[1].data is null, expected whole numbers"),
     "true": (with_horizon("true"), "inputs[1].data is true, expected whole numbers"),
     "in words": (with_horizon('"40"'), "inputs[1].data is 40, expected whole numbers"),
     "two horizons": (with_horizon("1, 2"), "inputs[1].data is [1, 2], expected 1 numbers"),
