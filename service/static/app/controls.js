@@ -5,9 +5,10 @@ import {
   finalStepOf, forAnyNumber, isServed, rateOf, showModels, stillFitting,
 } from "./models.js";
 import { showPicks } from "./picks.js";
+import { installScenePanel, showScenePanel } from "./scene_panel.js";
 import { pointsOf } from "./state.js";
 
-const SCENARIOS = ["hemisphere", "ellipsoid", "heightfield"];
+const SCENARIOS = ["hemisphere", "ellipsoid", "heightfield", "table"];
 const RADIOS = { source: String, scenario: String, balls: Number };
 
 /**
@@ -23,6 +24,7 @@ export function installControls(store) {
   byId("dice").addEventListener("click", () => {
     store.set({ seed: String(Math.floor(Math.random() * 100_000)) });
   });
+  installScenePanel(store);
   byId("horizon").addEventListener("input", () => {
     showHorizon(Number(byId("horizon").value), Number(byId("horizon").dataset.rate));
   });
@@ -81,6 +83,7 @@ export function showControls(choices, entries, store) {
   byId("split").checked = choices.layout === "split";
   byId("split").disabled = choices.models.length < 2;
   byId("speed").value = String(choices.speed);
+  showScenePanel(choices);
   showBalls(choices, entries);
   showFinal(choices, entries);
   showModels(entries, choices, (models) => store.set({ models }));

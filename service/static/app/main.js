@@ -86,7 +86,9 @@ function requestOf(choices) {
   const request = { horizon };
   if (points.length) request.balls = points.map(([x, y]) => ({ x, y }));
   else if (choices.balls) request.num_objects = choices.balls;
-  if (choices.source === "scene") return { ...request, scenario: choices.scenario };
+  if (choices.source === "scene") {
+    return choices.scenario === "table" ? request : { ...request, scenario: choices.scenario };
+  }
   return { ...request, frame_rate: Number(session.take.rate.toFixed(4)) };
 }
 
@@ -303,7 +305,7 @@ store.subscribe((choices, before) => {
 });
 /** Whether points of the frames before would be of something else. */
 function isOtherScene(choices, before) {
-  const names = choices.source === "scene" ? ["source", "scenario", "seed", "balls"] : ["source"];
+  const names = choices.source === "scene" ? ["source", "scenario", "seed", "scene", "balls"] : ["source"];
   return names.some((name) => choices[name] !== before[name]);
 }
 

@@ -10,6 +10,12 @@ const CONTROLS = {
   frame_rate: "spacing", frames: "source-footage", final_frame: "final", scenario: "scenario-ellipsoid",
 };
 
+/** The control of a field of a request, if there is one. */
+function controlOf(field) {
+  const [name] = (field ?? "").replace(/^scene\./, "").split(/[.[]/);
+  return CONTROLS[name] ?? (document.getElementById(`scene-${name}`) ? `scene-${name}` : undefined);
+}
+
 export function clearMessages() {
   byId("messages").replaceChildren();
   for (const control of document.querySelectorAll("[aria-invalid]")) {
@@ -38,7 +44,7 @@ export function showError(error, again) {
   box.append(buttons);
   byId("messages").replaceChildren(box);
   for (const { field } of said.faults) {
-    document.getElementById(CONTROLS[field?.split(/[.[]/)[0]])?.setAttribute("aria-invalid", "true");
+    document.getElementById(controlOf(field))?.setAttribute("aria-invalid", "true");
   }
 }
 

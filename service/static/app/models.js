@@ -19,9 +19,14 @@ export function fitting(entries, choices) {
         entry.status === "ready" &&
         follows(entry, choices) &&
         entry.frames === (finalFrame ? 5 : 4) &&
-        (source === "footage" || entry.scenarios.includes(scenario)),
+        (source === "footage" || knows(entry, scenario)),
     )
     .sort((a, b) => errorOf(a) - errorOf(b));
+}
+
+/** Whether a model forecasts a scenario; tables are level ground, of which none is a model's own. */
+function knows(entry, scenario) {
+  return scenario === "table" ? isForAny(entry) : entry.scenarios.includes(scenario);
 }
 
 /** Whether a model forecasts the balls that are chosen, by their number or by points. */

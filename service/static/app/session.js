@@ -2,6 +2,7 @@
 
 import { predictStream, ServiceProblem, simulate } from "./api.js";
 import { isSlowLink } from "./link.js";
+import { parametersOf } from "./scene_panel.js";
 import { framesOf } from "./resample.js";
 import { FootageError } from "./footage.js";
 import { SEEN } from "./state.js";
@@ -51,13 +52,15 @@ export class Session {
    * Simulate a scene, unless it is the one that is there.
    * @returns {Promise<(() => Promise<void>) | null>} what loads the later frames, on a slow link
    */
-  async scene({ scenario, balls, seed }, steps, signal) {
+  async scene(choices, steps, signal) {
+    const { scenario, balls, seed } = choices;
     const isSlow = isSlowLink() && this.finalIndex === null;
     const asked = {
       scenario,
       num_objects: balls,
       seed: asNumber(seed),
       image_size: isSlow ? SMALL_IMAGE_SIZE : IMAGE_SIZE,
+      ...parametersOf(choices),
     };
     const key = JSON.stringify(asked);
     if (this.take?.key === key && this.take.frames.length >= steps) return null;

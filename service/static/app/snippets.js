@@ -1,6 +1,7 @@
 /** The call that the page makes, for a shell and for Python. */
 
 import { address } from "./api.js";
+import { parametersOf } from "./scene_panel.js";
 
 const FILES = ["frame-0.png", "frame-1.png", "frame-2.png", "frame-3.png"];
 
@@ -18,8 +19,10 @@ export function snippetsOf(session, choices, request) {
     : { curl: curlOfFiles(calls), python: pythonOfFiles(calls) };
 }
 
-function curlOfScene({ session, models, request, base, final }, { scenario, balls, seed }) {
-  const scene = { scenario, num_objects: balls, seed: Number(seed), steps: session.take.frames.length };
+function curlOfScene({ session, models, request, base, final }, choices) {
+  const { scenario, balls, seed } = choices;
+  const steps = session.take.frames.length;
+  const scene = { scenario, num_objects: balls, seed: Number(seed), steps, ...parametersOf(choices) };
   const finalFrame = final === null ? "" : `, "final_frame": f[${final}]`;
   const fields = models.map((model) => JSON.stringify({ model, ...request }).slice(1, -1));
   const bodies = fields.map(
@@ -55,12 +58,18 @@ function outputOf(models, index) {
   return models.length === 1 ? "forecast.json" : `forecast-${index}.json`;
 }
 
-function pythonOfScene(calls, { scenario, balls, seed }) {
+function pythonOfScene(calls, choices) {
   const { session, final } = calls;
+  const { scenario, balls, seed } = choices;
   const steps = session.take.frames.length;
+  const { textured, start_step: start, ...parameters } = parametersOf(choices);
+  const fixed =
+    (textured === undefined ? "" : ", textured=False") +
+    (start === undefined ? "" : `, start_step=${start}`) +
+    (Object.keys(parameters).length ? `, scene=${JSON.stringify(parameters)}` : "");
   return python(
     calls,
-    `    scene = client.simulate("${scenario}", num_objects=${balls}, seed=${Number(seed)}, steps=${steps})\n`,
+    `    scene = client.simulate("${scenario}", num_objects=${balls}, seed=${Number(seed)}, steps=${steps}${fixed})\n`,
     `scene.frames[:4]${final === null ? "" : `, final_frame=scene.frames[${final}]`}`,
   );
 }

@@ -1,12 +1,15 @@
 /** What the user has chosen, kept in the page's address so that it can be passed on. */
 
+import { readScene } from "./scene_panel.js";
+
 /**
  * @typedef {object} Choices
  * @property {"scene" | "footage"} source
- * @property {"hemisphere" | "ellipsoid" | "heightfield"} scenario
+ * @property {"hemisphere" | "ellipsoid" | "heightfield" | "table"} scenario
  * @property {number} balls 0 leaves the number to the model, of footage
  * @property {string} points of the last seen frame that select balls: "x,y;x,y", pixels
  * @property {string} seed as it was typed
+ * @property {string} scene parameters that are fixed: "radius_m=0.1;white"
  * @property {string[]} models one to three, "auto" or names
  * @property {number} horizon steps
  * @property {boolean} finalFrame
@@ -30,6 +33,7 @@ const DEFAULTS = {
   balls: 1,
   points: "",
   seed: "7",
+  scene: "",
   models: ["auto"],
   horizon: 40,
   finalFrame: false,
@@ -40,7 +44,7 @@ const DEFAULTS = {
 };
 
 /** Those that make sense in somebody else's browser; footage stays where it is. */
-const SHARED = ["scenario", "balls", "points", "seed", "models", "horizon", "finalFrame", "layout"];
+const SHARED = ["scenario", "balls", "points", "seed", "scene", "models", "horizon", "finalFrame", "layout"];
 
 /**
  * A value whose changes are told to those who asked for it.
@@ -73,11 +77,12 @@ export function choicesFrom(fragment) {
     const text = given.get(name);
     if (text !== null) choices[name] = parsed(text, DEFAULTS[name]);
   }
-  if (!["hemisphere", "ellipsoid", "heightfield"].includes(choices.scenario)) {
+  if (!["hemisphere", "ellipsoid", "heightfield", "table"].includes(choices.scenario)) {
     choices.scenario = DEFAULTS.scenario;
   }
   choices.balls = Math.min(Math.max(Math.round(choices.balls) || 1, 1), 4);
   choices.points = textOf(pointsOf(choices));
+  choices.scene = readScene(choices.scene);
   return choices;
 }
 

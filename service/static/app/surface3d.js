@@ -94,7 +94,7 @@ export class Surface3d {
   _setGround({ surface, scenario }) {
     this._surface = surface;
     empty(this._ground);
-    const isBowl = scenario !== "heightfield";
+    const isBowl = scenario === "hemisphere" || scenario === "ellipsoid";
     const mesh = meshOf(surface);
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.Float32BufferAttribute(mesh.points.flat(), 3));
