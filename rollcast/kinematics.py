@@ -25,7 +25,7 @@ class KinematicForecast(NamedTuple):
 def kinematic_forecast(
     places: Float[np.ndarray, "N K 2"],
     sigmas: Float[np.ndarray, "N 2"],
-    acceleration: float,
+    acceleration_ratio: float,
     steps: Int[np.ndarray, " T"],
 ) -> KinematicForecast:
     """Forecast balls of constant velocity.
@@ -36,20 +36,22 @@ def kinematic_forecast(
         Observed places of N balls, the last at step 0.
     sigmas
         Standard deviations of each ball's last place, and of its last displacement.
-    acceleration
-        Standard deviation of the change of velocity per step: what pushes, slows or deflects balls.
+    acceleration_ratio
+        Standard deviation of the change of velocity per step, relative to the speed. A fast ball
+        meets more that slows or deflects it; one at rest stays where it is (decision 0146).
     steps
         Steps to forecast.
     """
-    place, velocity = _filtered(np.asarray(places, float))
+    place, velocity = filtered(np.asarray(places, float))
     ahead = np.asarray(steps, float)
     positions = place[:, None] + ahead[:, None] * velocity[:, None]
     of_place, of_velocity = np.square(sigmas).T[:, :, None]
+    acceleration = acceleration_ratio * np.linalg.norm(velocity, axis=-1)[:, None]
     variances = of_place + of_velocity * ahead**2 + acceleration**2 * ahead**3 / 3
     return KinematicForecast(positions, variances[..., None, None] * np.eye(2))
 
 
-def _filtered(
+def filtered(
     places: Float[np.ndarray, "N K 2"],
 ) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, "N 2"]]:
     """Return place and velocity at the last observed step."""

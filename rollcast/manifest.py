@@ -186,8 +186,8 @@ class CameraSetup(_Part):
 class KinematicSource(_Part):
     """Kinematic forecasts (:mod:`rollcast.kinematics`) beside those of a model's network."""
 
-    acceleration_px: Annotated[float, Field(ge=0)]
-    """Standard deviation of the change of velocity per step, pixels of 128."""
+    acceleration_ratio: Annotated[float, Field(ge=0)]
+    """Standard deviation of the change of velocity per step, relative to the speed."""
     level_slope: Annotated[float, Field(ge=0)]
     """Mean slope of the ground under a ball's path up to which "auto" answers with the kinematic
     forecast; 0 answers with the network's always."""

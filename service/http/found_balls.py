@@ -7,7 +7,6 @@ from jaxtyping import Float, UInt8
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.kinematics import kinematic_forecast, mean_slopes
-from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS
 from rollcast.patches import Letterbox
 from rollcast.scene import BallColor
 from rollcast.schemas import BallPrompt, SeenBall
@@ -67,7 +66,7 @@ class RequestBalls:
         self._path = kinematic_forecast(
             HALF + HALF * balls.places,
             HALF * np.exp(balls.log_sigmas),
-            source.acceleration_px,
+            source.acceleration_ratio,
             np.arange(max(horizon, LEVEL_STEPS)),
         )
 
@@ -85,15 +84,13 @@ class RequestBalls:
     def kinematic(self, network: Forecast, first_step: int) -> Forecast:
         """Return the kinematic forecast of the steps of the network's, pixels of 128.
 
-        Its covariances are scaled to the network's radius of the ellipse that holds half.
+        Like the network's, its errors are heavy-tailed: the covariances hold 95 % of them, and the
+        network's radius, smaller than a Gaussian's, half.
         """
         steps = slice(first_step, first_step + network.positions.shape[2])
-        scale = (GAUSSIAN_ELLIPSE50_RADIUS / network.ellipse50_radii) ** 2
         return network.having(
             positions=self._path.positions[None, :, steps].astype(np.float32),
-            covariances=(self._path.covariances[:, steps] * scale[:, None, None])[None].astype(
-                np.float32
-            ),
+            covariances=self._path.covariances[None, :, steps].astype(np.float32),
         )
 
     @property

@@ -39,10 +39,12 @@ def test_steps_may_be_asked_for_one_at_a_time():
 
 
 def test_the_variance_is_that_of_place_velocity_and_accelerations():
-    made = kinematic_forecast(observed((40, 60), (1, 0)), SIGMAS, 0.2, STEPS)
-    expected = 0.3**2 + 0.05**2 * STEPS**2.0 + 0.2**2 * STEPS**3 / 3
-    np.testing.assert_allclose(made.covariances[0, :, 0, 0], expected)
-    np.testing.assert_allclose(made.covariances[0, :, 1, 1], expected)
+    made = kinematic_forecast(observed((40, 60), (3, -4)), SIGMAS, 0.2, STEPS)
+    speed = 5
+    expected = 0.3**2 + 0.05**2 * STEPS**2.0 + (0.2 * speed) ** 2 * STEPS**3 / 3
+    # The filter reads the speed to a thousandth.
+    np.testing.assert_allclose(made.covariances[0, :, 0, 0], expected, rtol=3e-3)
+    np.testing.assert_allclose(made.covariances[0, :, 1, 1], expected, rtol=3e-3)
     np.testing.assert_array_equal(made.covariances[0, :, 0, 1], 0)
 
 
@@ -65,3 +67,9 @@ def test_the_slope_under_a_path_is_the_mean_of_its_cells():
     beyond = np.array([[1.5, 0.0], [7.0, -3.0]])
     slopes = mean_slopes(ground, np.stack([level, half, beyond]))
     np.testing.assert_allclose(slopes, [0.0, 0.25, 0.5])
+
+
+def test_a_ball_at_rest_is_where_it_was():
+    made = kinematic_forecast(observed((40, 60), (0, 0)), SIGMAS, 0.2, STEPS)
+    expected = 0.3**2 + 0.05**2 * STEPS**2.0
+    np.testing.assert_allclose(made.covariances[0, :, 0, 0], expected, rtol=1e-3)

@@ -96,7 +96,7 @@ def served_balls(**changes: object) -> Model:
             "format_version": 2,
             "name": "dots",
             "max_objects": 8,
-            "kinematic": {"acceleration_px": 0.1, "level_slope": 0.0},
+            "kinematic": {"acceleration_ratio": 0.1, "level_slope": 0.0},
             "files": dict.fromkeys(BALL_FILES, 64 * "0"),
             "state": [
                 {"name": "position", "shape": [3, 32, 32]},

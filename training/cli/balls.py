@@ -19,6 +19,7 @@ from training.engine.loop import TrainingStoppedError
 from training.evaluation.any_ball import validation_errors
 from training.evaluation.evaluate import evaluation_sets
 from training.export.ball_artefact import Sets, TrainedBalls, export_balls
+from training.export.kinematic_fit import fit_acceleration_ratio
 from training.export.load import any_ball_from
 from training.networks.any_ball import AnyBallNet
 from training.recipes.any_ball import ANY_BALL_DATA, VALIDATION_DATA, ball_sources
@@ -27,6 +28,8 @@ RUN = "any-ball"
 """Folder of the run, and name of its network."""
 MOTION = "rolling.pt"
 """Weights of the motion in the run's folder, once encounters are taught."""
+VALIDATION_SCENES = 100
+"""Scenes of each kind that fit the covariances of an export."""
 VALIDATION_WINDOWS = 120
 REPEATS = 3
 """Times that a painted window is seen."""
@@ -130,9 +133,10 @@ def export(
         training.seed,
     )
     target = models / name / str(version)
-    validation = _sets("validation", 100, workers)
+    validation = _sets("validation", VALIDATION_SCENES, workers)
     test = _sets("test", scenes, workers)
-    manifest = export_balls(trained, target, version, validation, test)
+    ratio = fit_acceleration_ratio(VALIDATION_SCENES, workers)
+    manifest = export_balls(trained, target, version, validation, test, ratio)
     typer.echo(f"{manifest.label}: {manifest.validation_error_px:.2f} px, in {target}")
 
 

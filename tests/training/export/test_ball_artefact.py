@@ -38,7 +38,7 @@ def models(runs, network, tmp_path_factory) -> Path:
     (part,) = evaluation_sets(("hemisphere",), 1, None, "validation", SHARD_SCENES, 1)
     sets = {1: [replace(part, windows=part.windows[:5], line=part.line[:5])]}
     trained = TrainedBalls("balls", network, 10, HORIZON, {"hemisphere-1": 5}, seed=1)
-    export_balls(trained, folder / "balls" / "1", 1, sets, sets)
+    export_balls(trained, folder / "balls" / "1", 1, sets, sets, 0.2)
     return folder
 
 

@@ -144,7 +144,7 @@ def test_rectangles_are_for_models_that_read_them(client):
 
 
 def test_both_motions_are_answered_and_auto_takes_kinematics_on_level_ground(start):
-    kinematic = {"acceleration_px": 0.1, "level_slope": 0.01}
+    kinematic = {"acceleration_ratio": 0.1, "level_slope": 0.01}
     client = start(lambda *_: Registry([served_balls(kinematic=kinematic)]))
     seen = paths((40, 50))
     fields = {"balls": prompt((40, 50)), "horizon": 6}
