@@ -97,7 +97,7 @@ GAUSSIAN_ELLIPSE50_RADIUS = gaussian_radius(0.5)
 
 
 class CovarianceSource(_Part):
-    """Where the forecast's covariances come from (px^2)."""
+    """Source of the forecast's covariances (px^2)."""
 
     source: Literal["predicted", "empirical"]
     """``predicted``: an output of the network. ``empirical``: residuals on validation data."""
@@ -329,7 +329,7 @@ class Manifest(_Part):
 
     @property
     def colors(self) -> tuple[BallColor, ...]:
-        """Of each ball, in the order of all outputs."""
+        """Colour of each ball, in the order of all outputs."""
         return COLORS[: self.objects] if self.setup is None else self.setup.colors
 
     @property
@@ -363,7 +363,7 @@ class Manifest(_Part):
     def write(self, path: Path) -> None:
         """Write the manifest as indented JSON, so that versions can be compared line by line.
 
-        It is there wholly or not at all: whoever writes an artefact writes it last.
+        The file is replaced as a whole, and exporters write it last.
         """
         unfinished = path.with_name(f"{path.name}.tmp")
         unfinished.write_text(self.model_dump_json(indent=2) + "\n", encoding="utf-8")

@@ -95,13 +95,13 @@ PerBall = Annotated[tuple[Item, ...], Field(max_length=MAX_OBJECTS, fail_fast=Tr
 
 
 class RequestBody(BaseModel):
-    """What a client sends: unknown fields, NaN and infinities are refused, numbers are numbers."""
+    """Body of a request. Unknown fields, NaN, infinities and numbers as text are rejected."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class ResponseBody(BaseModel):
-    """What the service answers; a client ignores fields that a newer service has added."""
+    """Body of a response. A client ignores fields that a newer service has added."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -254,7 +254,7 @@ class ForecastObject(_PathOutputs):
 
 
 class PredictTiming(ResponseBody):
-    """Where the time went, in milliseconds."""
+    """Time of each stage, in milliseconds."""
 
     decode: float
     encode: float
@@ -264,7 +264,7 @@ class PredictTiming(ResponseBody):
 
 
 class ForecastSummary(_ForecastOutputs):
-    """What an answer says besides its steps."""
+    """Fields of a forecast that belong to no step."""
 
     model: ModelReference
     frame_size: Size
@@ -302,7 +302,7 @@ class StreamStep(ResponseBody):
 
 
 class StreamBall(ResponseBody):
-    """What does not change from step to step of one ball."""
+    """Fields of one ball that are the same at every step."""
 
     id: int
     color: BallColor

@@ -46,7 +46,7 @@ Parser = Callable[[Check], tuple[PredictRequest, list[str]]]
 
 
 class BallDetails(NamedTuple):
-    """What does not change from step to step of one ball."""
+    """Fields of one ball that are the same at every step."""
 
     id: int
     color: BallColor
@@ -58,14 +58,14 @@ class BallDetails(NamedTuple):
 
 
 class _Forecast:
-    """One request: its model, its frames, and the moments at which things were done.
+    """One request: its model, its frames, and the times of its stages.
 
     Parameters
     ----------
     parse
         Returns the parsed request; calls what it is given now and then, to be interrupted.
     token
-        Ends the work on a request that nobody waits for.
+        Cancels the work when the client has disconnected.
     """
 
     request: PredictRequest
@@ -250,7 +250,7 @@ class _Forecast:
 
     @property
     def balls(self) -> list[BallDetails]:
-        """What does not change of the balls, once all steps are there."""
+        """Fields of the balls that are the same at every step, after the last one."""
         return [
             ball._replace(warnings=[*ball.warnings, left_frame(self._left[ball.id])])
             if ball.id in self._left

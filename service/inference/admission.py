@@ -43,7 +43,7 @@ class AdmissionLimit:
 
     @property
     def idle(self) -> bool:
-        """Whether no place is taken."""
+        """True if no place is taken."""
         return self._taken == 0
 
     def acquire(self) -> None:
@@ -70,7 +70,7 @@ class AdmissionLimit:
 
 
 class AbandonableExecutor(Protocol):
-    """An executor whose calls may end early, once nobody waits for their results."""
+    """An executor whose calls may end early, when their results are no longer needed."""
 
     def submit(
         self, abandoned: Future[None], call: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs
@@ -102,7 +102,7 @@ class Workers:
 
     @property
     def idle(self) -> bool:
-        """Whether nothing runs or waits."""
+        """True if no call runs or waits."""
         return self._admission.idle
 
     def submit(

@@ -1,4 +1,4 @@
-"""Somebody waits for every forecast: until its deadline passes, or until they go away.
+"""Deadlines of forecasts, and the cancellation of those whose client has disconnected.
 
 A rollout asks between two steps whether it is still wanted, so its worker is free within one step.
 """

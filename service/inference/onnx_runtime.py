@@ -71,7 +71,7 @@ _opening = Lock()
 class OnnxPredictor:
     """The graphs of an artefact. Safe to call from several threads at once.
 
-    The eye, by far the largest of them, is shared with other models that have the same.
+    The perception graph, by far the largest, is shared by models with the same file.
 
     Parameters
     ----------

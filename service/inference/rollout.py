@@ -1,4 +1,4 @@
-"""What is rolled out, and the forecasts that become of its outputs, in 128-pixel units.
+"""Networks that can be rolled out, and forecasts from their outputs, in 128-pixel units.
 
 Axes: B requests, N balls, T steps, K frames.
 """

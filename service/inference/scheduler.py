@@ -1,7 +1,7 @@
-"""Forecasts on a few threads: what waits is encoded together, and rollouts step together.
+"""Forecasts on a few threads: waiting frames are encoded together, and rollouts step together.
 
 A thread takes what is there in this order: answers to write, frames to encode, a rollout to lead.
-Threads share the waiting frames out, a few in one batch. Whoever leads a model's rollout steps all
+Threads share the waiting frames out, a few in one batch. The thread that leads a rollout steps all
 requests that have joined it, so while frames wait the next rollout grows, and the price of a step
 is shared. A request joins and leaves between two steps.
 
@@ -89,12 +89,12 @@ class _Request(Generic[T]):
 
     @property
     def ended(self) -> bool:
-        """Whether it has all its steps."""
+        """True if it has all its steps."""
         return self.steps == self.horizon
 
     @property
     def waits(self) -> bool:
-        """Whether it waits for a thread: its frames are to be decoded or encoded."""
+        """True if it waits for a thread that decodes or encodes its frames."""
         return self.decoded is not None or self.slow is not None
 
     def decode(self, how: Callable[[], Decoding]) -> None:
@@ -177,7 +177,7 @@ class _Batch:
         self.members = kept
 
     def fail(self, error: BaseException) -> None:
-        """Answer everybody with an error."""
+        """Answer all members with an error."""
         for member in self.members:
             member.future.set_exception(error)
         self.members = []
@@ -207,7 +207,7 @@ class _Rollout:
         return self.here.rows + sum(arrived.rows for arrived in self.pending)
 
     def advance(self) -> list[_Request[Any]]:
-        """Step all that somebody waits for; return those that have ended."""
+        """Step all requests that are not cancelled; return those that have ended."""
         here = self.here
         here.keep([m for m in here.members if m.fail_safely(m.token.raise_if_cancelled)])
         if not here.members:
@@ -270,7 +270,7 @@ class Scheduler:
 
     @property
     def idle(self) -> bool:
-        """Whether it holds no request."""
+        """True if it holds no request."""
         return self._admission.idle
 
     def submit(self, job: Job[T], token: CancellationToken) -> Future[T]:
@@ -411,7 +411,7 @@ class Scheduler:
             self._rollouts[predictor].pending.append(together)
 
     def _lead(self, rollout: _Rollout) -> None:
-        """Step a rollout until nobody is left in it, or nobody else can write its answers."""
+        """Step a rollout until it is empty, or no other thread can write its answers."""
         while True:
             with self._lock:
                 for arrived in rollout.pending:

@@ -38,20 +38,20 @@ class Model:
 
     @property
     def status(self) -> Literal["ready", "invalid", "unloaded"]:
-        """Whether it is served."""
+        """True if it is served."""
         if self.predictor is not None:
             return "ready"
         return "unloaded" if self.reason is None else "invalid"
 
     @property
     def is_default(self) -> bool:
-        """Whether a bare NAME means this version."""
+        """True if a bare NAME means this version."""
         return self.manifest is not None and self.manifest.default
 
 
 @dataclass(frozen=True)
 class ModelQuery:
-    """What a request asks of a model."""
+    """Requirements of a request on its model."""
 
     model: str = AUTO_MODEL
     objects: int | None = None
