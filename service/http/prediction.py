@@ -65,7 +65,7 @@ class _Forecast:
     parse
         Returns the parsed request; calls what it is given now and then, to be interrupted.
     token
-        Ends the work on a request whose client has gone.
+        Cancels the work when the client has disconnected.
     """
 
     request: PredictRequest
