@@ -1,14 +1,15 @@
 # pyright: standard
-"""Tracks as a table: one row a frame and ball, in a Parquet file."""
+"""Tracks as a table: one row a frame and ball, in a Parquet or CSV file."""
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Float
-from pyarrow import parquet
+from jaxtyping import Float, Int
+from pyarrow import csv, parquet
 
 from rollcast.errors import FootageError
 
@@ -28,6 +29,9 @@ COLUMNS = pa.schema(
 )
 
 
+CSV = ".csv"
+
+
 @dataclass(frozen=True)
 class Tracks:
     """Positions of the balls of a clip in every frame.
@@ -40,6 +44,8 @@ class Tracks:
         Of its pictures, pixels.
     colours
         Mean colour of each ball, as ``#rrggbb``; their order is that of the balls.
+    frames
+        Numbers of the clip's frames, from 0; those that repeat the one before are left out.
     times_s
         Seconds after the clip's first frame.
     positions_px
@@ -57,6 +63,7 @@ class Tracks:
     width: int
     height: int
     colours: tuple[str, ...]
+    frames: Int[np.ndarray, " frames"]
     times_s: Float[np.ndarray, " frames"]
     positions_px: Float[np.ndarray, "frames balls 2"]
     radii_px: Float[np.ndarray, "frames balls"]
@@ -74,11 +81,18 @@ class Tracks:
         return ~np.isnan(self.positions_px[..., 0])
 
     def write(self, path: Path) -> None:
-        """Write a Parquet file: a row for every frame and ball, null and confidence 0 in gaps."""
+        """Write a row for every frame and ball, null and confidence 0 in gaps.
+
+        Parameters
+        ----------
+        path
+            A Parquet file, or with the suffix ``.csv`` a table of the same columns, whose first
+            lines, which begin with ``#``, hold the properties of the clip.
+        """
         frames, balls = self.confidences.shape
         columns = [
             [self.clip] * (frames * balls),
-            np.repeat(np.arange(frames), balls),
+            np.repeat(self.frames, balls),
             np.repeat(self.times_s, balls),
             np.tile(np.arange(balls), frames),
             *(self.positions_px[..., axis].ravel() for axis in (0, 1)),
@@ -96,7 +110,11 @@ class Tracks:
             schema=COLUMNS.with_metadata({ABOUT: json.dumps(about).encode()}),
         )
         with path.open("wb") as file:  # names go through Python: pyarrow wants UTF-8
-            parquet.write_table(table, file)
+            if path.suffix.lower() == CSV:
+                file.write(b"# " + json.dumps(about).encode() + b"\n")
+                csv.write_csv(table, file)
+            else:
+                parquet.write_table(table, file)
 
     @classmethod
     def read(cls, path: Path) -> "Tracks":
@@ -109,8 +127,8 @@ class Tracks:
         """
         try:
             with path.open("rb") as file:
-                table = parquet.read_table(file)
-        except (OSError, pa.ArrowInvalid) as error:
+                table = _read_csv(file) if path.suffix.lower() == CSV else parquet.read_table(file)
+        except (OSError, ValueError, pa.ArrowException) as error:
             raise FootageError(f"{path} cannot be read as tracks: {error}") from error
         about = (table.schema.metadata or {}).get(ABOUT)
         if about is None or not table.schema.equals(COLUMNS) or not table.num_rows:
@@ -127,9 +145,21 @@ class Tracks:
             width=metadata["width"],
             height=metadata["height"],
             colours=tuple(metadata["colours"]),
+            frames=shaped["frame"][:, 0].copy(),
             times_s=shaped["time"][:, 0].copy(),
             positions_px=np.stack([shaped["x"], shaped["y"]], axis=-1),
             radii_px=shaped["radius"].copy(),
             confidences=shaped["confidence"].copy(),
             source_sha256=metadata.get("source_sha256", ""),
         )
+
+
+def _read_csv(file: BinaryIO) -> pa.Table:
+    """Read a table whose first line, after ``#``, holds the properties of the clip, as JSON."""
+    first = file.readline()
+    about = first.removeprefix(b"#").strip()
+    if about == first.strip():
+        raise ValueError("its first line is not '# {...}' with the properties of the clip")
+    json.loads(about)
+    table = csv.read_csv(file, convert_options=csv.ConvertOptions(column_types=COLUMNS))
+    return table.replace_schema_metadata({ABOUT: about})
