@@ -12,6 +12,7 @@ import traceback
 from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -37,6 +38,7 @@ Example:
 Exit codes: 0 success, 1 failure (with one line on stderr), 2 invalid arguments.
 `rollcast --install-completion` completes commands and options in your shell.
 """
+CHECKOUT = Path(__file__).resolve().parents[1]
 USAGE = 2
 """Exit code for arguments that are wrong."""
 INTERRUPTED = 130
@@ -59,7 +61,7 @@ def _version() -> str:
     try:
         return version(NAME)
     except PackageNotFoundError:
-        text = (serve.CHECKOUT / "pyproject.toml").read_text(encoding="utf-8")
+        text = (CHECKOUT / "pyproject.toml").read_text(encoding="utf-8")
         return str(tomllib.loads(text)["project"]["version"])
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 from pyarrow import csv, parquet
+from pydantic import BaseModel, ValidationError
 
 from rollcast.errors import FootageError
 
@@ -30,6 +31,15 @@ COLUMNS = pa.schema(
 
 
 CSV = ".csv"
+
+
+class _ClipProperties(BaseModel):
+    """What holds for all rows of a table."""
+
+    width: int
+    height: int
+    colours: tuple[str, ...]
+    source_sha256: str = ""
 
 
 @dataclass(frozen=True)
@@ -136,21 +146,34 @@ class Tracks:
                 f"{path} holds no tracks: its columns are {', '.join(table.column_names)}, "
                 f"expected {', '.join(COLUMNS.names)}, as `rollcast track` writes them"
             )
-        metadata = json.loads(about)
-        balls = len(metadata["colours"])
+        try:
+            clip = _ClipProperties.model_validate_json(about)
+        except ValidationError as error:
+            fault = error.errors()[0]
+            place = ".".join(map(str, fault["loc"]))
+            raise FootageError(
+                f"{path} holds no tracks: the properties of its clip are wrong: {place} "
+                f"{fault['msg'].lower()}"
+            ) from error
+        balls = len(clip.colours)
+        if not balls or table.num_rows % balls:
+            raise FootageError(
+                f"{path} holds no tracks: it has {table.num_rows} rows, expected one for each frame "
+                f"and each of {balls} balls"
+            )
         values = {name: table[name].to_numpy() for name in COLUMNS.names[1:]}
         shaped = {name: column.reshape(-1, balls) for name, column in values.items()}
         return cls(
             clip=table["clip"][0].as_py(),
-            width=metadata["width"],
-            height=metadata["height"],
-            colours=tuple(metadata["colours"]),
+            width=clip.width,
+            height=clip.height,
+            colours=clip.colours,
             frames=shaped["frame"][:, 0].copy(),
             times_s=shaped["time"][:, 0].copy(),
             positions_px=np.stack([shaped["x"], shaped["y"]], axis=-1),
             radii_px=shaped["radius"].copy(),
             confidences=shaped["confidence"].copy(),
-            source_sha256=metadata.get("source_sha256", ""),
+            source_sha256=clip.source_sha256,
         )
 
 
@@ -160,6 +183,5 @@ def _read_csv(file: BinaryIO) -> pa.Table:
     about = first.removeprefix(b"#").strip()
     if about == first.strip():
         raise ValueError("its first line is not '# {...}' with the properties of the clip")
-    json.loads(about)
     table = csv.read_csv(file, convert_options=csv.ConvertOptions(column_types=COLUMNS))
     return table.replace_schema_metadata({ABOUT: about})

@@ -26,6 +26,7 @@ from tests.rollcast.tracking.billiards import (
 from training.export.graph_finder import GraphFinder
 
 FRAMES = 110
+NO_COLOURS = b"# {}\nclip,frame,time,ball,x,y,radius,confidence\nc,0,0.0,0,1,1,1,1\n"
 PERCEPTION = Path(__file__).parents[3] / "models/any-ball/1"
 
 
@@ -159,7 +160,9 @@ def test_a_table_of_tracks_is_read_as_it_was_written(four, tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".csv"])
-@pytest.mark.parametrize("content", [b"", b"not a table", b"# {\nclip\n", b"# {}\nclip,x\n1,2\n"])
+@pytest.mark.parametrize(
+    "content", [b"", b"not a table", b"# {\nclip\n", b"# {}\nclip,x\n1,2\n", NO_COLOURS]
+)
 def test_what_is_no_table_of_tracks_is_refused(tmp_path, content, suffix):
     (tmp_path / f"bad{suffix}").write_bytes(content)
     with pytest.raises(FootageError, match=r"bad\.\w+ (cannot be read as|holds no) tracks"):
