@@ -158,8 +158,8 @@ class Tracks:
         balls = len(clip.colours)
         if not balls or table.num_rows % balls:
             raise FootageError(
-                f"{path} holds no tracks: it has {table.num_rows} rows, expected one for each frame "
-                f"and each of {balls} balls"
+                f"{path} holds no tracks: it has {table.num_rows} rows, expected one of each "
+                f"of {balls} balls in every frame"
             )
         values = {name: table[name].to_numpy() for name in COLUMNS.names[1:]}
         shaped = {name: column.reshape(-1, balls) for name, column in values.items()}
