@@ -45,11 +45,11 @@ def distinct_frames(taken: Iterable[TakenFrame]) -> Iterator[NumberedFrame]:
     for number, one in enumerate(taken):
         frame = NumberedFrame(number, one.time_s, one.load())
         grey = _grey(frame.picture)
-        change: Int16[np.ndarray, "rows columns"] | None = None
+        change: np.ndarray = np.empty(0)
         if last is not None and last[0].shape == grey.shape:
-            change = np.abs(last[0] - grey)
+            change = np.asarray(np.abs(last[0] - grey), np.int16)
             frame = frame._replace(changed=float(np.mean(change > LARGEST_CHANGE)))
-        if last is not None and change is not None and _is_none(change):
+        if last is not None and change.size and _is_none(change):
             if frame.time_s - last[1] < LONGEST_S:
                 # Their pictures are that of the last one: one of them suffices.
                 waiting.append(frame if not waiting else frame._replace(picture=waiting[0].picture))
