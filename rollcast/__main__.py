@@ -7,22 +7,25 @@ interrupted.
 import os
 import sys
 import tempfile
+import tomllib
 import traceback
 from collections.abc import Sequence
 from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from rollcast.client import Client
 from rollcast.client.settings import API_KEY_VARIABLE
-from rollcast.commands import doctor, models, predict, serve, simulate, track
+from rollcast.commands import doctor, live, models, predict, serve, simulate, track
 from rollcast.commands.options import CommandError, Connect, Outcome
 from rollcast.errors import RollcastError, UnreachableError
 
 NAME = "rollcast"
 HELP = """\
-Forecast where rolling balls go. All commands except serve and track call a running service
+Forecast where rolling balls go. All commands except serve call a running service
 (rollcast serve, or make serve).
 
 \b
@@ -35,6 +38,7 @@ Example:
 Exit codes: 0 success, 1 failure (with one line on stderr), 2 invalid arguments.
 `rollcast --install-completion` completes commands and options in your shell.
 """
+CHECKOUT = Path(__file__).resolve().parents[1]
 USAGE = 2
 """Exit code for arguments that are wrong."""
 INTERRUPTED = 130
@@ -46,9 +50,28 @@ app = typer.Typer(
 )
 
 
+def _show_version(asked: bool) -> None:
+    if asked:
+        print(f"{NAME} {_version()}")
+        raise typer.Exit
+
+
+def _version() -> str:
+    """Return the version of the package, or of the checkout that is run."""
+    try:
+        return version(NAME)
+    except PackageNotFoundError:
+        text = (CHECKOUT / "pyproject.toml").read_text(encoding="utf-8")
+        return str(tomllib.loads(text)["project"]["version"])
+
+
 @app.callback(help=HELP)
 def _with_key(
     context: typer.Context,
+    show_version: Annotated[  # noqa: ARG001 - its callback does it
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="print the version"),
+    ] = False,
     api_key: Annotated[
         str | None,
         typer.Option(
@@ -63,7 +86,7 @@ def _with_key(
         context.obj = partial(context.obj, api_key=api_key)
 
 
-for module in (serve, predict, simulate, track, models, doctor):
+for module in (serve, predict, live, simulate, track, models, doctor):
     name = module.__name__.rpartition(".")[2]
     app.command(name, help=module.HELP)(getattr(module, name))
 

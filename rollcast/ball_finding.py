@@ -6,13 +6,14 @@ points of the letterboxed square (:mod:`rollcast.patches`), lengths its halves.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from math import ceil
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import REFINER_OUTPUTS
-from rollcast.patches import cut_patches, half_widths, letterboxed
+from rollcast.patches import Letterbox, cut_patches, half_widths, letterboxed
 
 PASSES = 2
 """Times that patches are cut: the second time they are centred already."""
@@ -24,6 +25,8 @@ LIKELY = 0.5
 
 LEAST_MOVING = 0.25
 """Product of the confidences that a ball is there and that it moves, from which on it moves."""
+LEAST_MOTION = 0.05
+"""The same, from which on it may move."""
 
 Arrays = Mapping[str, np.ndarray]
 Detect = Callable[[UInt8[np.ndarray, "1 4 128 128 3"]], Arrays]
@@ -160,14 +163,91 @@ def _looked_at(
 
 def _apart(balls: Balls) -> np.ndarray:
     """Index of the balls, the surest first, without those that are others once more."""
+    return _distinct(balls.places[:, -1], balls.radii, balls.scores)
+
+
+def _distinct(
+    last: Float[np.ndarray, "balls 2"],
+    radii: Float[np.ndarray, " balls"],
+    scores: Float[np.ndarray, " balls"],
+) -> np.ndarray:
     kept: list[int] = []
-    last = balls.places[:, -1]
-    for one in np.argsort(-balls.scores, kind="stable").tolist():
+    for one in np.argsort(-scores, kind="stable").tolist():
         away = [
-            np.linalg.norm(last[one] - last[other])
-            > 0.7 * max(balls.radii[one], balls.radii[other])
+            np.linalg.norm(last[one] - last[other]) > 0.7 * max(radii[one], radii[other])
             for other in kept
         ]
         if all(away):
             kept.append(one)
     return np.array(kept, dtype=np.intp)
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Balls that were seen in four frames, moving or not, in pixels of the frames."""
+
+    paths: Float[np.ndarray, "balls 4 2"]
+    radii: Float[np.ndarray, " balls"]
+    scores: Float[np.ndarray, " balls"]
+    """How surely each is there, 0..1."""
+    moving: Float[np.ndarray, " balls"]
+    """How surely each moves, 0..1."""
+    visible: Float[np.ndarray, "balls 4"]
+    """How surely each is seen in the frames, 0..1; 1 of coarse ones."""
+    refined: Bool[np.ndarray, " balls"]
+    """Whether patches were cut; the others lie where the coarse detector saw them."""
+
+    def taken(self, index: np.ndarray) -> "Sightings":
+        """Return some of the balls."""
+        return Sightings(*(getattr(self, field.name)[index] for field in fields(self)))
+
+
+def sight_balls(
+    detect: Detect,
+    refine: Refine,
+    frames: UInt8[np.ndarray, "4 height width 3"],
+    least_score: float,
+    *,
+    refine_still: bool,
+) -> Sightings:
+    """Find all balls of a rectangle, looking at squares as high as its shorter side.
+
+    In a square of a wide picture a ball is larger than in the whole of it.
+
+    Parameters
+    ----------
+    least_score
+        Score of the detector from which on a candidate counts.
+    refine_still
+        Whether balls that hardly move are looked at closer too.
+    """
+    corners = _square_corners(*frames.shape[1:3])
+    side = min(frames.shape[1:3])
+    parts = [frames[:, y : y + side, x : x + side] for x, y in corners]
+    said = detect(np.stack([letterboxed(part, NETWORK_FRAME_SIZE) for part in parts]))
+    seen: list[Sightings] = []
+    for index, (part, corner) in enumerate(zip(parts, corners, strict=True)):
+        one = {name: said[name][index] for name in ("places", "radii", "scores", "moving")}
+        kept = one["scores"] > least_score
+        one = {name: values[kept] for name, values in one.items()}
+        closer = refine_still | (one["scores"] * one["moving"] > LEAST_MOTION)
+        places, radii, scores = one["places"], one["radii"], one["scores"]
+        visible = np.ones(places.shape[:2], np.float32)
+        if closer.any():
+            balls = _looked_at(refine, part, *(one[name][closer] for name in one))
+            places[closer], radii[closer], scores[closer] = balls.places, balls.radii, balls.scores
+            visible[closer] = balls.visible
+        paths = Letterbox(side, side).pixels(places) + np.array(corner)
+        seen.append(Sightings(paths, radii * side / 2, scores, one["moving"], visible, closer))
+    every = Sightings(
+        *(np.concatenate([getattr(one, field.name) for one in seen]) for field in fields(Sightings))
+    )
+    return every.taken(_distinct(every.paths[:, -1], every.radii, every.scores))
+
+
+def _square_corners(height: int, width: int) -> list[tuple[int, int]]:
+    """Left and top of the fewest squares, overlapping by at least a tenth, that cover a frame."""
+    side, longest = min(height, width), max(height, width)
+    count = 1 if side == longest else ceil((longest - side) / (0.9 * side)) + 1
+    starts = np.linspace(0, longest - side, count).round().astype(int).tolist()
+    return [(start, 0) if width >= height else (0, start) for start in starts]

@@ -253,6 +253,48 @@ class ForecastObject(_PathOutputs):
     """The forecast of the other motion; None from models for a fixed number of balls."""
 
 
+class DetectRequest(RequestBody):
+    """Body of ``POST /detect``, as JSON or, with the images as file parts, as multipart."""
+
+    model: str = AUTO_MODEL
+    """"auto", NAME (its default version) or NAME@VERSION of a model for any number of balls."""
+    frames: Annotated[
+        list[EncodedImage], Field(min_length=OBSERVED_FRAMES, max_length=OBSERVED_FRAMES)
+    ]
+    """Four frames in order: base64 of PNG, JPEG or WebP files of one size, 32 to 4096 pixels a
+    side."""
+    min_score: Annotated[Number, Field(ge=0, le=1)] = 0.25
+    """Score of the coarse detector from which on a candidate is reported."""
+    refine_still: Flag = True
+    """Whether balls that hardly move are refined too; without it the answer takes less time."""
+
+
+class DetectedBall(ResponseBody):
+    """One ball in four frames."""
+
+    score: Annotated[float, Field(ge=0, le=1)]
+    """Confidence that the ball is there."""
+    moving: Annotated[float, Field(ge=0, le=1)]
+    """Confidence that it moves."""
+    refined: bool
+    """False where the position is the coarse detector's."""
+    seen: list[SeenBall]
+    """The ball in each frame, pixels."""
+    visible: list[float]
+    """Confidence that each frame shows it, 0 to 1."""
+
+
+class DetectResponse(ResponseBody):
+    """Answer of ``POST /detect``."""
+
+    model: str
+    """NAME@VERSION."""
+    frame_size: Size
+    """Width and height of the frames: the unit of every position."""
+    balls: list[DetectedBall]
+    """The surest first."""
+
+
 class PredictTiming(ResponseBody):
     """Time of each stage, in milliseconds."""
 

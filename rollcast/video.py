@@ -49,6 +49,8 @@ UNTAGGED, FULL_RANGE = 0, 2
 """Tags (AVColorRange): unspecified, and full range (0 to 255)."""
 LAST_STAMP = 2**62
 """Time stamp beyond which none is sought."""
+CAMERA_TIMEOUT_S = 10.0
+"""Time without an answer after which a camera counts as not there."""
 ROUNDING = 0.05
 """Relative difference between a stated rate and that of rounded timestamps."""
 
@@ -174,6 +176,33 @@ def every_frame(path: Path | str) -> Iterator[TimedFrame]:
     """
     for taken in VideoFile(path).frames():
         yield TimedFrame(taken.load(), taken.time_s)
+
+
+def camera_frames(source: str) -> Iterator[TimedFrame]:
+    """Yield the frames of a camera as they come.
+
+    Parameters
+    ----------
+    source
+        Number of a webcam (Video4Linux), or the address of a network camera.
+
+    Raises
+    ------
+    FootageError
+        When it cannot be opened or read on.
+    """
+    name = f"/dev/video{source}" if source.isdecimal() else source
+    kind = "v4l2" if source.isdecimal() else None
+    try:
+        with av.open(name, "r", format=kind, timeout=CAMERA_TIMEOUT_S) as container:
+            stream = _video_stream(container, name)
+            for picture in container.decode(stream):
+                if picture.pts is not None:
+                    yield TimedFrame(
+                        np.asarray(picture.to_ndarray(format="rgb24"), np.uint8), picture.time
+                    )
+    except (FFmpegError, OSError) as error:
+        raise FootageError(f"{name} cannot be read: {error.strerror or error}") from error
 
 
 class VideoFile:

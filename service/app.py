@@ -20,6 +20,7 @@ from service.http.openapi import install_openapi
 from service.http.problem_details import install_problem_handlers
 from service.http.root_path import RootPath
 from service.http.routes import (
+    detect,
     health,
     home,
     inference,
@@ -129,7 +130,17 @@ def create_app(
     if settings.trusted_proxies:
         trusted = [str(network) for network in settings.trusted_proxies]
         app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=trusted)
-    for feature in (predict, simulate, models, inference, repository, health, metrics, home):
+    for feature in (
+        predict,
+        detect,
+        simulate,
+        models,
+        inference,
+        repository,
+        health,
+        metrics,
+        home,
+    ):
         app.include_router(feature.router)
     home.install_static_files(app)
     return app

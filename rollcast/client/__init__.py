@@ -21,7 +21,7 @@ Exceptions: ``rollcast.errors.ClientError`` and its heirs. A service for tests t
 from rollcast.client.aio import AsyncClient, AsyncForecastStream
 from rollcast.client.images import Crop, Frame, Frames
 from rollcast.client.prompts import BallPoint, BallPoints
-from rollcast.client.results import Forecast, ForecastStep, Simulation, Surface
+from rollcast.client.results import Detections, Forecast, ForecastStep, Simulation, Surface
 from rollcast.client.sync import Client, ForecastStream
 from rollcast.schemas import BallPrompt
 
@@ -33,6 +33,7 @@ __all__ = [
     "BallPrompt",
     "Client",
     "Crop",
+    "Detections",
     "Forecast",
     "ForecastStep",
     "ForecastStream",

@@ -17,7 +17,7 @@ from rollcast.client.connection import Target, checked_timeout
 from rollcast.client.deadline import Deadline
 from rollcast.client.images import Crop, Frame, Frames
 from rollcast.client.prompts import BallPoints
-from rollcast.client.results import Forecast, ForecastStep, Simulation, Surface
+from rollcast.client.results import Detections, Forecast, ForecastStep, Simulation, Surface
 from rollcast.client.stream import StreamAssembler
 from rollcast.scene import Domain, Scenario, Scene
 from rollcast.schemas import AUTO_MODEL, Health, ModelDetail, ModelEntry
@@ -212,6 +212,41 @@ class AsyncClient:
             ],
             concurrency,
         )
+
+    async def detect(
+        self,
+        frames: Frames,
+        *,
+        model: str = AUTO_MODEL,
+        min_score: float = 0.25,
+        refine_still: bool = True,
+        crop: Crop | None = None,
+    ) -> Detections:
+        """Find all balls in four frames, moving or not, without a forecast.
+
+        Parameters
+        ----------
+        frames
+            Four frames in order, each a ``Frame``: rectangles of any size.
+        model
+            "auto", NAME or NAME@VERSION of a model for any number of balls.
+        min_score
+            Score, 0 to 1, of the coarse detector from which on a candidate is returned.
+        refine_still
+            False leaves the balls that hardly move where the coarse detector sees them, which
+            takes less time.
+        crop
+            "square" cuts the largest square out of the middle of every frame.
+
+        Raises
+        ------
+        rollcast.errors.ClientError
+            When the call fails.
+        TypeError, ValueError, OSError
+            When a frame cannot be converted or read.
+        """
+        call = await to_thread(calls.detect, frames, model, min_score, refine_still, crop)
+        return await self._run(call)
 
     @overload
     async def simulate(

@@ -18,7 +18,7 @@ import numpy as np
 from rollcast.client.answers import MAX_ANSWER_BYTES, MAX_SIMULATION_BYTES, failure, unexpected
 from rollcast.client.images import Crop, Frame, Frames, each, encoded
 from rollcast.client.prompts import BallPoints, prompts_of
-from rollcast.client.results import Forecast, Simulation
+from rollcast.client.results import Detections, Forecast, Simulation
 from rollcast.client.shapes import require
 from rollcast.errors import ClientError, InvalidArgumentError, ProblemError
 from rollcast.image_sequence import numbering_warnings
@@ -26,6 +26,7 @@ from rollcast.scene import Domain, Scenario, Scene
 from rollcast.schemas import (
     MAX_HORIZON,
     REQUEST_ID_HEADER,
+    DetectResponse,
     Health,
     ModelDetail,
     ModelEntry,
@@ -244,6 +245,29 @@ def _forecast_call(
         warnings=warnings,
     )
     return call
+
+
+def detect(
+    frames: Frames, model: str, min_score: float, refine_still: bool, crop: Crop | None
+) -> Call[Detections]:
+    """Send frames as file parts, to learn which balls they show."""
+    fields = {
+        "model": model,
+        "min_score": str(_number("min_score", min_score)),
+        "refine_still": str(bool(refine_still)).lower(),
+    }
+    files: list[Part] = [
+        ("frames", (f"frame{index}", encoded(frame, crop)))
+        for index, frame in enumerate(each(frames))
+    ]
+    return Call(
+        "POST",
+        "/detect",
+        lambda body: Detections.from_response(DetectResponse.model_validate_json(body)),
+        fields=fields,
+        files=files,
+        advise=_advice,
+    )
 
 
 def _advice(problem: Problem) -> str:

@@ -17,6 +17,9 @@ from rollcast.scene import COLORS, SCENARIOS, Scene
 from rollcast.schemas import (
     DEFAULT_HORIZON,
     BallPrompt,
+    DetectedBall,
+    DetectRequest,
+    DetectResponse,
     ForecastObject,
     ModelDetail,
     ModelReference,
@@ -84,6 +87,7 @@ def typed(
     if not frames:
         return dict(fields)
     numbers = {"horizon": int, "num_objects": int, "frame_rate": float}
+    numbers |= {"min_score": float, "refine_still": "true".__eq__}
     values: dict[str, Any] = {name: numbers.get(name, str)(value) for name, value in fields.items()}
     return {**values, "frames": list(frames), "final_frame": final_frame}
 
@@ -144,6 +148,22 @@ def forecast(
         else [],
         timing_ms=PredictTiming(decode=0, encode=0, rollout=0, total=0),
     )
+
+
+def detection(wish: DetectRequest) -> DetectResponse:
+    """Answer with the first ball of forecasts."""
+    size = _size(wish.frames, square=False)
+    side = max(size)
+    (start,) = _starts(None, 1, side)
+    prompt = BallPrompt(x=float(start[0]), y=float(start[1]))
+    ball = DetectedBall(
+        score=SCORE,
+        moving=1,
+        refined=True,
+        seen=_seen(prompt, start, side),
+        visible=[1.0] * OBSERVED_FRAMES,
+    )
+    return DetectResponse(model=f"{NAME}@1", frame_size=size, balls=[ball])
 
 
 def events(whole: PredictResponse) -> bytes:

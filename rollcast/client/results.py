@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, Self
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 from PIL import Image
 
 from rollcast.client import files, pictures, tables
@@ -22,6 +22,7 @@ from rollcast.scene import Color, Scene
 from rollcast.schemas import (
     MAX_IMAGE_SIZE,
     AlternativeForecast,
+    DetectResponse,
     ForecastObject,
     ModelReference,
     Motion,
@@ -45,6 +46,51 @@ else:
 
     FramesT = TypeVar("FramesT")
     SurfaceT = TypeVar("SurfaceT")
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Balls in four frames, the surest first."""
+
+    seen: Float64[np.ndarray, "balls 4 3"]
+    """x, y and radius of each ball in each frame, pixels."""
+    scores: Float64[np.ndarray, " balls"]
+    """Confidence, 0 to 1, that each ball is there."""
+    moving: Float64[np.ndarray, " balls"]
+    """Confidence, 0 to 1, that each ball moves."""
+    visible: Float64[np.ndarray, "balls 4"]
+    """Confidence, 0 to 1, that each frame shows the ball."""
+    refined: Bool[np.ndarray, " balls"]
+    """False where the position is the coarse detector's."""
+    frame_size: tuple[int, int]
+    """Width and height of the frames, pixels."""
+    model: str
+    """NAME@VERSION of the model that answered."""
+
+    @classmethod
+    def from_response(cls, response: DetectResponse) -> Self:
+        """Turn the response's lists into arrays.
+
+        Raises
+        ------
+        ValueError
+            When they do not fit together.
+        """
+        balls = response.balls
+        count = len(balls)
+        seen = [[(at.x, at.y, at.radius) for at in ball.seen] for ball in balls]
+        shape = (count, OBSERVED_FRAMES)
+        return cls(
+            seen=checked("seen", seen or np.empty((0, OBSERVED_FRAMES, 3)), (*shape, 3)),
+            scores=checked("scores", [ball.score for ball in balls], (count,)),
+            moving=checked("moving", [ball.moving for ball in balls], (count,)),
+            visible=checked(
+                "visible", [ball.visible for ball in balls] or np.empty((0, OBSERVED_FRAMES)), shape
+            ),
+            refined=np.array([ball.refined for ball in balls], bool),
+            frame_size=response.frame_size,
+            model=response.model,
+        )
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,14 @@ from pydantic import BaseModel, ValidationError
 
 from rollcast.client import fakes
 from rollcast.client.fakes import RefusalError
-from rollcast.schemas import Health, ModelList, PredictRequest, Problem, SimulateRequest
+from rollcast.schemas import (
+    DetectRequest,
+    Health,
+    ModelList,
+    PredictRequest,
+    Problem,
+    SimulateRequest,
+)
 
 __all__ = ["FakeService", "RecordedRequest"]
 
@@ -115,6 +122,10 @@ class FakeService(httpx2.MockTransport):
                     headers={"content-type": "text/event-stream"},
                     content=fakes.events(forecast),
                 )
+            case "POST", ["detect"]:
+                body = fakes.typed(asked.fields, asked.frames, None)
+                del body["final_frame"]
+                return _json(fakes.detection(DetectRequest.model_validate(body)))
             case "POST", ["simulate"]:
                 return _json(fakes.simulation(SimulateRequest.model_validate(asked.fields)))
             case "GET", ["models"]:

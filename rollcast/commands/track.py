@@ -5,17 +5,18 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from rollcast.clip import open_clip
-from rollcast.commands.options import CommandError, Crop, Outcome, Rate, whole_number
+from rollcast.commands.options import CommandError, Crop, Outcome, Rate, Url, client, whole_number
 from rollcast.commands.progress import counted, waiting
 from rollcast.errors import MissingExtraError
 from rollcast.frames import shown_path
 from rollcast.image_sequence import ImageSequence, image_files
-from rollcast.scene import MAX_FORECAST_OBJECTS
+from rollcast.scene import MAX_BALLS
+from rollcast.schemas import AUTO_MODEL
 from rollcast.video_writer import write_film
 
 if TYPE_CHECKING:
@@ -24,19 +25,23 @@ if TYPE_CHECKING:
 HELP = """\
 Track balls in clips from an overhead camera.
 
-The camera must not move, and no labels are needed: up to four balls are detected by their shape,
-motion and colours. Clips in one command belong to one set-up, and their balls have the same
-order. For each clip the command writes tracks (NAME.parquet), a report of possible errors
-(NAME.json) and a video for review (films/NAME.mp4). If a ball is not found, its track has a gap.
+A running service finds the balls with a model for any number of balls (any-ball); no labels are
+needed, and the camera must not move. Up to eight balls that move are told apart by their colours
+and paths. Clips in one command belong to one set-up, and their balls have the same order. For each
+clip the command writes tracks (NAME.parquet or NAME.csv), a report of possible errors (NAME.json)
+and a video for review (films/NAME.mp4). If a ball is not found, its track has a gap. Frames that
+repeat the one before are left out.
 
 \b
 Examples:
   rollcast track clip.mp4
   rollcast track first.mp4 second.mp4 --balls 4 --crop 125,0,475 --out tracks
+  rollcast track clip.mp4 --format csv --no-film
 """
 
 
 def track(
+    context: typer.Context,
     clips: Annotated[
         list[Path],
         typer.Argument(
@@ -48,9 +53,9 @@ def track(
     balls: Annotated[
         int | None,
         typer.Option(
-            parser=whole_number(1, MAX_FORECAST_OBJECTS),
+            parser=whole_number(1, MAX_BALLS),
             metavar="BALLS",
-            help="number of balls (default: counted automatically)",
+            help="number of balls that move (default: counted automatically)",
         ),
     ] = None,
     crop: Crop = None,
@@ -58,9 +63,21 @@ def track(
     out: Annotated[
         Path, typer.Option(metavar="FOLDER", help="folder for tracks, reports and videos")
     ] = Path("tracks"),
+    form: Annotated[
+        Literal["parquet", "csv"], typer.Option("--format", help="format of the tracks")
+    ] = "parquet",
+    film: Annotated[
+        bool, typer.Option("--film/--no-film", help="whether to write the video for review")
+    ] = True,
+    model: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="model that finds the balls: auto, NAME or NAME@VERSION"),
+    ] = AUTO_MODEL,
+    url: Url = None,
 ) -> Outcome:
     """Track every clip; write the tracks, a report and a film of each."""
     try:
+        from rollcast.commands.service_finder import ServiceFinder
         from rollcast.tracking.overlay import overlaid
         from rollcast.tracking.track import track as track_clip
         from rollcast.tracking.tracks import Tracks
@@ -78,22 +95,24 @@ def track(
             raise CommandError(
                 f"{source.name} consists of images, which have no timestamps: pass their --rate"
             )
-        tracks_file = beside(out / name, ".parquet")
+        tracks_file = beside(out / name, f".{form}")
         fingerprint = _fingerprint(clip)
         if tracks_file.exists():
             _refuse_other(tracks_file, Tracks.read(tracks_file).source_sha256, fingerprint)
-        film = beside(films / name, ".mp4")
-        film.parent.mkdir(parents=True, exist_ok=True)
         tracks_file.parent.mkdir(parents=True, exist_ok=True)
         shown = shown_path(name)
-        with waiting(f"tracking {shown}"):
-            made = track_clip(source, balls=balls, crop=crop, like=palettes, name=shown)
+        with client(context, url) as service, waiting(f"tracking {shown}"):
+            finder = ServiceFinder(service, model)
+            made = track_clip(source, finder, balls=balls, crop=crop, like=palettes, name=shown)
         palettes = made.palettes if palettes is None else palettes
         quality = made.quality
         replace(made.tracks, source_sha256=fingerprint).write(tracks_file)
         beside(out / name, ".json").write_text(quality.model_dump_json(indent=2) + "\n")
-        pictures = counted(overlaid(source, made.tracks), quality.frames, f"drawing {shown}")
-        write_film(film, pictures, quality.frame_rate)
+        if film:
+            film_file = beside(films / name, ".mp4")
+            film_file.parent.mkdir(parents=True, exist_ok=True)
+            pictures = counted(overlaid(source, made.tracks), quality.frames, f"drawing {shown}")
+            write_film(film_file, pictures, quality.frame_rate)
         reports.append(quality)
         warnings += source.warnings
     warnings += [warning for quality in reports for warning in _quality_warnings(quality)]
@@ -176,4 +195,8 @@ def _quality_warnings(quality: "Quality") -> list[str]:
         f"{quality.clip}: ball {one.ball} jumps by {one.radii:.1f} radii in frame {one.frame}"
         for one in quality.jumps
     ]
-    return swaps + jumps
+    repeated = [
+        f"{quality.clip}: {quality.repeated} of {quality.repeated + quality.frames} frames repeat "
+        "the one before and were left out"
+    ]
+    return [*(repeated if quality.repeated else []), *swaps, *jumps]

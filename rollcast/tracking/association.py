@@ -16,11 +16,12 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import coo_array
 
-from rollcast.tracking.detection import BINS, COLOURS, Detections
-from rollcast.tracking.tracklets import Tracklet
+from rollcast.errors import FootageError
+from rollcast.tracking.colours import BINS, COLOURS
+from rollcast.tracking.tracklets import LONGEST_GAP, Tracklet
 
-ROUNDS = 4
-BEGINNINGS = 3
+ROUNDS = 3
+BEGINNINGS = 2
 """Sets of tracklets that palettes are begun with."""
 OUTLIER_RATE = 0.02
 """Share of a ball's pixels that may have any colour: reflections, dirt."""
@@ -30,11 +31,14 @@ SUREST = 4.0
 """Most that one frame's colours say, in nats."""
 CONTINUED = 12.0
 """Value, in nats, of a continuation along the velocity of the ball."""
-LONGEST_GAP = 30
-"""Frames over which it can be told where a ball was going."""
 MAX_DRIFT = 0.6
 """Radii by which a ball may stray a frame while it is not seen."""
-SOLVER_S = 60.0
+SUCCESSORS = 3
+"""Tracklets that may continue one: those nearest to where it was going."""
+GAP = 0.01
+"""Relative distance from the best assignment with which one is good enough."""
+SOLVER_S = 30.0
+"""Of one program; the best assignment until then counts."""
 
 
 @dataclass(frozen=True)
@@ -60,26 +64,25 @@ def balls_in(tracklets: Sequence[Tracklet], frames: int, most: int) -> int:
     """Return how many balls there seem to be: as many as long tracklets stand side by side."""
     counts = np.zeros(frames, int)
     for tracklet in tracklets:
-        if len(tracklet.rows) >= min(10, frames // 4):
+        if len(tracklet) >= min(10, frames // 4):
             counts[tracklet.first : tracklet.last + 1] += 1
     likely = [n for n in range(1, most + 1) if np.mean(counts >= n) > 0.2]
     return max(likely, default=1)
 
 
-def assign_identities(
-    tracklets: Sequence[Tracklet], frames: Sequence[Detections], balls: int, radius_px: float
-) -> Identities:
+def assign_identities(tracklets: Sequence[Tracklet], frames: int, balls: int) -> Identities:
     """Say which ball each tracklet shows.
 
     Parameters
     ----------
-    radius_px
-        Of the balls, about.
+    frames
+        Number of the clip's.
     """
-    seen = np.stack([_colours(tracklet, frames) for tracklet in tracklets])
-    lengths = np.array([len(tracklet.rows) for tracklet in tracklets])
+    seen = np.stack([tracklet.mean_colours for tracklet in tracklets])
+    lengths = np.array([len(tracklet) for tracklet in tracklets])
+    radius_px = float(np.median([tracklet.radius_px for tracklet in tracklets]))
     found: list[Identities] = []
-    for beginning in _beginnings(tracklets, balls, len(frames)):
+    for beginning in _beginnings(tracklets, balls, frames):
         palettes = _palettes(seen[beginning] * lengths[beginning, None])
         for _ in range(ROUNDS):
             worth = palette_evidence(seen, palettes) * lengths[:, None]
@@ -106,12 +109,6 @@ def palette_evidence(
     return np.clip(COLOUR_WEIGHT * seen @ np.log(usual * COLOURS).T, -SUREST, SUREST)
 
 
-def _colours(tracklet: Tracklet, frames: Sequence[Detections]) -> Float[np.ndarray, " colours"]:
-    """Mean colours of a tracklet."""
-    shown = [frames[tracklet.first + i].colours[row] for i, row in enumerate(tracklet.rows)]
-    return np.mean(shown, axis=0).astype(np.float64)
-
-
 def _palettes(sums: Float[np.ndarray, "balls colours"]) -> Float[np.ndarray, "balls colours"]:
     """Shares of neighbouring colours, smoothed: light changes over a picture."""
     smooth = gaussian_filter(sums.reshape(-1, *BINS), (0, 0.4, 0.6, 0.6), mode="nearest")
@@ -126,12 +123,12 @@ def _beginnings(tracklets: Sequence[Tracklet], balls: int, frames: int) -> list[
         alive = [
             i for i, tracklet in enumerate(tracklets) if tracklet.first <= number <= tracklet.last
         ]
-        alive = sorted(alive, key=lambda i: -len(tracklets[i].rows))[: balls + 2]
+        alive = sorted(alive, key=lambda i: -len(tracklets[i]))[: balls + 2]
         for chosen in combinations(sorted(alive), min(balls, len(alive))):
             if len(chosen) == balls:
-                candidates[chosen] = min(len(tracklets[i].rows) for i in chosen)
+                candidates[chosen] = min(len(tracklets[i]) for i in chosen)
     if not candidates:  # never all of them at once
-        longest = sorted(range(len(tracklets)), key=lambda i: -len(tracklets[i].rows))
+        longest = sorted(range(len(tracklets)), key=lambda i: -len(tracklets[i]))
         return [longest[:balls]]
     best = sorted(candidates, key=lambda chosen: -candidates[chosen])
     return [list(chosen) for chosen in best[:BEGINNINGS]]
@@ -186,13 +183,17 @@ def _given(
     limits = np.array([limit for *_, limit in rows])
     solved = milp(
         -gains,
-        integrality=np.ones(len(gains)),
+        # Continuations follow from who owns the tracklets.
+        integrality=np.repeat([1, 0], [worth.size, len(pairs) * balls]),
         bounds=Bounds(0, 1),
         constraints=LinearConstraint(matrix.tocsr(), -np.inf, limits),  # pyright: ignore[reportArgumentType]
-        options={"time_limit": SOLVER_S},
+        options={"time_limit": SOLVER_S, "mip_rel_gap": GAP},
     )
     if solved.x is None:
-        raise RuntimeError(f"HiGHS found no solution: {solved.message}")
+        raise FootageError(
+            f"{count} tracks of moving objects cannot be assigned to {balls} balls; exclude other "
+            "moving objects with --crop, or set the number of balls with --balls"
+        )
     chosen = solved.x[: count * balls].reshape(count, balls)
     given = [int(row.argmax()) if row.max() > 0.5 else -1 for row in chosen]
     return given, float(-solved.fun)
@@ -202,6 +203,7 @@ def _pairs(tracklets: Sequence[Tracklet], radius_px: float) -> list[tuple[int, i
     """Pairs of tracklets of which the second may continue the first, with their value in nats."""
     pairs: list[tuple[int, int, float]] = []
     for i, before in enumerate(tracklets):
+        own: list[tuple[int, int, float]] = []
         for j in range(i + 1, len(tracklets)):
             after = tracklets[j]
             gap = after.first - before.last
@@ -212,7 +214,8 @@ def _pairs(tracklets: Sequence[Tracklet], radius_px: float) -> list[tuple[int, i
             strays = _strays_px(before, after, gap) / radius_px
             gain = CONTINUED - (strays / (0.5 + MAX_DRIFT * gap)) ** 2
             if gain > 0:
-                pairs.append((i, j, gain))
+                own.append((i, j, gain))
+        pairs += sorted(own, key=lambda pair: -pair[-1])[:SUCCESSORS]
     return pairs
 
 

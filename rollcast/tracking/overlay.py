@@ -16,13 +16,15 @@ TAIL = 15
 
 
 def overlaid(clip: Path | FrameSource, tracks: Tracks) -> Iterator[Image.Image]:
-    """Yield every picture of a clip with its balls' numbers, outlines and ways.
+    """Yield every tracked picture of a clip with its balls' numbers, outlines and ways.
 
     A ball that is not found is named in the corner, and drawn nowhere.
     """
     source = open_clip(clip) if isinstance(clip, Path) else clip
-    for index, taken in enumerate(source.frames()):
-        yield draw_tracks(taken.load(), tracks, index)
+    place = {number: index for index, number in enumerate(tracks.frames.tolist())}
+    for number, taken in enumerate(source.frames()):
+        if number in place:
+            yield draw_tracks(taken.load(), tracks, place[number])
 
 
 def draw_tracks(picture: np.ndarray, tracks: Tracks, index: int) -> Image.Image:
@@ -44,6 +46,8 @@ def draw_tracks(picture: np.ndarray, tracks: Tracks, index: int) -> Image.Image:
         )
         tail = tracks.positions_px[max(0, index - TAIL) : index + 1, ball]
         drawing.line([tuple(place) for place in tail[~np.isnan(tail[:, 0])]], colour, 1)
-    note = f"frame {index}" + (f", not found: {', '.join(missing)}" if missing else "")
+    note = f"frame {tracks.frames[index]}" + (
+        f", not found: {', '.join(missing)}" if missing else ""
+    )
     drawing.text((4, 4), note, fill="white", stroke_width=2, stroke_fill="black")
     return image

@@ -1,7 +1,6 @@
 """Quality report of tracks: shares found, gaps, and possible swaps."""
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Sequence
 
 import numpy as np
 from pydantic import BaseModel
@@ -21,7 +20,6 @@ class Gap(BaseModel):
     first: int
     last: int
     seconds: float
-    reason: Literal["not seen", "touched by something large"]
 
 
 class CloseApproach(BaseModel):
@@ -59,6 +57,9 @@ class Quality(BaseModel):
 
     clip: str
     frames: int
+    """Those that repeat the one before are not counted."""
+    repeated: int = 0
+    """Frames that repeat the one before, which are left out."""
     seconds: float
     frame_rate: float
     found: float
@@ -69,33 +70,21 @@ class Quality(BaseModel):
     jumps: list[Jump]
 
 
-@dataclass(frozen=True)
-class TrackingEvidence:
-    """Observations during the search for the balls.
-
-    Attributes
-    ----------
-    touched
-        Whether a ball was in contact with something large, [frames, balls].
-    encounters
-        All of them.
-    """
-
-    touched: np.ndarray
-    encounters: list[CloseApproach]
-
-
 DOUBTFUL = 5.0
 """Nats below which an encounter is a suspected swap."""
 
 
-def quality_of(tracks: Tracks, evidence: TrackingEvidence) -> Quality:
-    """Report on tracks."""
-    gaps = [
-        gap
-        for ball in range(tracks.balls)
-        for gap in _gaps(tracks, ball, evidence.touched[:, ball])
-    ]
+def quality_of(tracks: Tracks, encounters: Sequence[CloseApproach], repeated: int = 0) -> Quality:
+    """Report on tracks.
+
+    Parameters
+    ----------
+    encounters
+        All of them, doubtful or not.
+    repeated
+        Number of frames that were left out.
+    """
+    gaps = [gap for ball in range(tracks.balls) for gap in _gaps(tracks, ball)]
     of_balls: list[BallQuality] = []
     for ball, colour in enumerate(tracks.colours):
         own = [gap for gap in gaps if gap.ball == ball]
@@ -113,12 +102,13 @@ def quality_of(tracks: Tracks, evidence: TrackingEvidence) -> Quality:
     return Quality(
         clip=tracks.clip,
         frames=len(tracks.times_s),
+        repeated=repeated,
         seconds=round(seconds, 3),
         frame_rate=round((len(tracks.times_s) - 1) / seconds, 3),
         found=float(tracks.found.mean()),
         balls=of_balls,
         gaps=gaps,
-        suspected_swaps=[one for one in evidence.encounters if one.evidence < DOUBTFUL],
+        suspected_swaps=[one for one in encounters if one.evidence < DOUBTFUL],
         jumps=[jump for ball in range(tracks.balls) for jump in _jumps(tracks, ball)],
     )
 
@@ -129,7 +119,7 @@ def runs(wanted: np.ndarray) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 
 
-def _gaps(tracks: Tracks, ball: int, touched: np.ndarray) -> list[Gap]:
+def _gaps(tracks: Tracks, ball: int) -> list[Gap]:
     spacing_s = float(np.median(np.diff(tracks.times_s)))
     return [
         Gap(
@@ -137,7 +127,6 @@ def _gaps(tracks: Tracks, ball: int, touched: np.ndarray) -> list[Gap]:
             first=first,
             last=last,
             seconds=round(float(tracks.times_s[last] - tracks.times_s[first]) + spacing_s, 3),
-            reason="touched by something large" if touched[first : last + 1].any() else "not seen",
         )
         for first, last in runs(~tracks.found[:, ball])
     ]

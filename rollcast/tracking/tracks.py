@@ -1,14 +1,16 @@
 # pyright: standard
-"""Tracks as a table: one row a frame and ball, in a Parquet file."""
+"""Tracks as a table: one row a frame and ball, in a Parquet or CSV file."""
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Float
-from pyarrow import parquet
+from jaxtyping import Float, Int
+from pyarrow import csv, parquet
+from pydantic import BaseModel, ValidationError
 
 from rollcast.errors import FootageError
 
@@ -28,6 +30,18 @@ COLUMNS = pa.schema(
 )
 
 
+CSV = ".csv"
+
+
+class _ClipProperties(BaseModel):
+    """What holds for all rows of a table."""
+
+    width: int
+    height: int
+    colours: tuple[str, ...]
+    source_sha256: str = ""
+
+
 @dataclass(frozen=True)
 class Tracks:
     """Positions of the balls of a clip in every frame.
@@ -40,6 +54,8 @@ class Tracks:
         Of its pictures, pixels.
     colours
         Mean colour of each ball, as ``#rrggbb``; their order is that of the balls.
+    frames
+        Numbers of the clip's frames, from 0; those that repeat the one before are left out.
     times_s
         Seconds after the clip's first frame.
     positions_px
@@ -57,6 +73,7 @@ class Tracks:
     width: int
     height: int
     colours: tuple[str, ...]
+    frames: Int[np.ndarray, " frames"]
     times_s: Float[np.ndarray, " frames"]
     positions_px: Float[np.ndarray, "frames balls 2"]
     radii_px: Float[np.ndarray, "frames balls"]
@@ -74,11 +91,18 @@ class Tracks:
         return ~np.isnan(self.positions_px[..., 0])
 
     def write(self, path: Path) -> None:
-        """Write a Parquet file: a row for every frame and ball, null and confidence 0 in gaps."""
+        """Write a row for every frame and ball, null and confidence 0 in gaps.
+
+        Parameters
+        ----------
+        path
+            A Parquet file, or with the suffix ``.csv`` a table of the same columns, whose first
+            lines, which begin with ``#``, hold the properties of the clip.
+        """
         frames, balls = self.confidences.shape
         columns = [
             [self.clip] * (frames * balls),
-            np.repeat(np.arange(frames), balls),
+            np.repeat(self.frames, balls),
             np.repeat(self.times_s, balls),
             np.tile(np.arange(balls), frames),
             *(self.positions_px[..., axis].ravel() for axis in (0, 1)),
@@ -96,7 +120,11 @@ class Tracks:
             schema=COLUMNS.with_metadata({ABOUT: json.dumps(about).encode()}),
         )
         with path.open("wb") as file:  # names go through Python: pyarrow wants UTF-8
-            parquet.write_table(table, file)
+            if path.suffix.lower() == CSV:
+                file.write(b"# " + json.dumps(about).encode() + b"\n")
+                csv.write_csv(table, file)
+            else:
+                parquet.write_table(table, file)
 
     @classmethod
     def read(cls, path: Path) -> "Tracks":
@@ -109,8 +137,8 @@ class Tracks:
         """
         try:
             with path.open("rb") as file:
-                table = parquet.read_table(file)
-        except (OSError, pa.ArrowInvalid) as error:
+                table = _read_csv(file) if path.suffix.lower() == CSV else parquet.read_table(file)
+        except (OSError, ValueError, pa.ArrowException) as error:
             raise FootageError(f"{path} cannot be read as tracks: {error}") from error
         about = (table.schema.metadata or {}).get(ABOUT)
         if about is None or not table.schema.equals(COLUMNS) or not table.num_rows:
@@ -118,18 +146,42 @@ class Tracks:
                 f"{path} holds no tracks: its columns are {', '.join(table.column_names)}, "
                 f"expected {', '.join(COLUMNS.names)}, as `rollcast track` writes them"
             )
-        metadata = json.loads(about)
-        balls = len(metadata["colours"])
+        try:
+            clip = _ClipProperties.model_validate_json(about)
+        except ValidationError as error:
+            fault = error.errors()[0]
+            place = ".".join(map(str, fault["loc"]))
+            raise FootageError(
+                f"{path} holds no tracks: the properties of its clip are wrong: {place} "
+                f"{fault['msg'].lower()}"
+            ) from error
+        balls = len(clip.colours)
+        if not balls or table.num_rows % balls:
+            raise FootageError(
+                f"{path} holds no tracks: it has {table.num_rows} rows, expected one of each "
+                f"of {balls} balls in every frame"
+            )
         values = {name: table[name].to_numpy() for name in COLUMNS.names[1:]}
         shaped = {name: column.reshape(-1, balls) for name, column in values.items()}
         return cls(
             clip=table["clip"][0].as_py(),
-            width=metadata["width"],
-            height=metadata["height"],
-            colours=tuple(metadata["colours"]),
+            width=clip.width,
+            height=clip.height,
+            colours=clip.colours,
+            frames=shaped["frame"][:, 0].copy(),
             times_s=shaped["time"][:, 0].copy(),
             positions_px=np.stack([shaped["x"], shaped["y"]], axis=-1),
             radii_px=shaped["radius"].copy(),
             confidences=shaped["confidence"].copy(),
-            source_sha256=metadata.get("source_sha256", ""),
+            source_sha256=clip.source_sha256,
         )
+
+
+def _read_csv(file: BinaryIO) -> pa.Table:
+    """Read a table whose first line, after ``#``, holds the properties of the clip, as JSON."""
+    first = file.readline()
+    about = first.removeprefix(b"#").strip()
+    if about == first.strip():
+        raise ValueError("its first line is not '# {...}' with the properties of the clip")
+    table = csv.read_csv(file, convert_options=csv.ConvertOptions(column_types=COLUMNS))
+    return table.replace_schema_metadata({ABOUT: about})

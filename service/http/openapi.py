@@ -8,13 +8,14 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-from rollcast.schemas import PredictRequest, Problem, SimulateRequest
+from rollcast.schemas import DetectRequest, PredictRequest, Problem, SimulateRequest
 from service.http.oip.schemas import InferError, InferRequest, InferResponse
 from service.http.problem_details import MEDIA_TYPE
 
 REFERENCE = "#/components/schemas/{model}"
 BODIES: Sequence[type[BaseModel]] = (
     PredictRequest,
+    DetectRequest,
     SimulateRequest,
     Problem,
     InferRequest,

@@ -39,6 +39,9 @@ MAX_VALUES = 1000
 """Values and lists that a JSON body without tensors may have."""
 MAX_PARTS = 32
 MAX_TEXT_PART_BYTES = 4096
+FILES = frozenset({"frames", "final_frame"})
+LISTS = frozenset({"frames"})
+"""Parts of a form that are files, and those that may come several times."""
 PIECE_BYTES = 64 * 1024
 """Bytes of a form that are parsed before its parser may be interrupted."""
 
@@ -170,6 +173,18 @@ def parse_json(body: Body, model: type[B], max_values: int = MAX_VALUES) -> B:
     finally:
         gc.enable()
     return _validate(model, data, strict=None)
+
+
+def parser_of(
+    model: type[B], kind: str, body: Body, request: Request
+) -> Callable[[Callable[[], None]], tuple[B, list[str]]]:
+    """Return the parser of a body with frames, which runs in a worker thread."""
+    if kind == JSON:
+        return lambda _: (parse_json(body, model), [])
+    content_type = request.headers["content-type"]
+    return lambda check: parse_form(
+        body, content_type, model, files=FILES, lists=LISTS, check=check
+    )
 
 
 def parse_form(

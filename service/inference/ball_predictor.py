@@ -14,7 +14,14 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 from rollcast.ball_finding import Arrays as Said
-from rollcast.ball_finding import Balls, by_motion, find_balls, moving_balls
+from rollcast.ball_finding import (
+    Balls,
+    Sightings,
+    by_motion,
+    find_balls,
+    moving_balls,
+    sight_balls,
+)
 from rollcast.manifest import (
     BALL_INPUTS,
     DETECTOR_FILE,
@@ -111,6 +118,18 @@ class BallPredictor:
         if prompts is None:
             balls = balls.taken(_wanted(balls, objects, self.manifest.max_objects or 1))
         return FoundBalls(balls, said)
+
+    def sight(
+        self,
+        frames: UInt8[np.ndarray, "4 height width 3"],
+        least_score: float,
+        *,
+        refine_still: bool,
+    ) -> Sightings:
+        """Find all balls, moving or not (:func:`rollcast.ball_finding.sight_balls`)."""
+        return sight_balls(
+            self._detect, self._refine, frames, least_score, refine_still=refine_still
+        )
 
     def encode(
         self,

@@ -43,8 +43,9 @@ class DecodedRequest(NamedTuple):
     horizon: int
 
 
-Decoding: TypeAlias = DecodedRequest | Callable[[], DecodedRequest]
-"""A decoded request, or a function that decodes it in a thread for large images."""
+Decoding: TypeAlias = DecodedRequest | Callable[[], DecodedRequest | None] | None
+"""A decoded request, or a function that decodes it in a thread for large images; None when nothing
+is rolled out and the answer can be made."""
 
 
 class Job(Protocol[T_co]):
@@ -64,7 +65,7 @@ class Job(Protocol[T_co]):
         -------
         Decoding or None
             After the first step another model may begin the request anew: its decoded frames, or a
-            function that decodes them if that is slow.
+            function that decodes them if that is slow. None goes on.
         """
         ...
 
@@ -84,7 +85,7 @@ class _Request(Generic[T]):
     horizon: int = 0
     steps: int = 0
     decoded: DecodedRequest | None = None
-    slow: Callable[[], DecodedRequest] | None = None
+    slow: Callable[[], DecodedRequest | None] | None = None
     """Decodes the frames, in a thread for large images."""
 
     @property
@@ -119,7 +120,9 @@ class _Request(Generic[T]):
         return self.fail_safely(step) and not self.waits
 
     def _begin(self, decoding: Decoding) -> None:
-        if isinstance(decoding, DecodedRequest):
+        if decoding is None:
+            self.future.set_result(self.job.finish())
+        elif isinstance(decoding, DecodedRequest):
             self.decoded = decoding
             self.rows, self.horizon = len(decoding.frames), decoding.horizon
         else:

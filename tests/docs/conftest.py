@@ -14,7 +14,7 @@ from rollcast.client import Client
 from tests.docs.blocks import ROOT
 from tests.e2e.conftest import serving
 
-ASKING = "predict|simulate|models|doctor"
+ASKING = "predict|live|simulate|track|models|doctor"
 """Commands of rollcast that ask a service."""
 CHECKOUT = (".venv", "docs", "models", "rollcast", "service", "tools", "training")
 

@@ -3,6 +3,8 @@
 import json
 import socket
 import sys
+import tomllib
+from pathlib import Path
 
 import av
 import httpx2
@@ -234,3 +236,9 @@ def test_videos_without_pyav_say_what_to_install(run, video, monkeypatch):
     monkeypatch.setitem(sys.modules, "rollcast.video", None)
     code, _, errors = run(video)
     assert (code, errors) == (1, "rollcast: videos need PyAV: pip install 'rollcast[video]'\n")
+
+
+def test_the_version_is_that_of_the_project(capsys):
+    text = (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"rollcast {tomllib.loads(text)['project']['version']}\n"

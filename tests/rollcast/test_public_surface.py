@@ -85,6 +85,15 @@ class AsyncClient(
     async def close(
         self,
     ) -> None
+    async def detect(
+        self,
+        frames: Frames,
+        *,
+        model: str = 'auto',
+        min_score: float = 0.25,
+        refine_still: bool = True,
+        crop: Optional[Literal['square']] = None,
+    ) -> rollcast.client.results.Detections
     async def health(
         self,
     ) -> rollcast.schemas.Health
@@ -176,6 +185,15 @@ class Client(
     def close(
         self,
     ) -> None
+    def detect(
+        self,
+        frames: Frames,
+        *,
+        model: str = 'auto',
+        min_score: float = 0.25,
+        refine_still: bool = True,
+        crop: Optional[Literal['square']] = None,
+    ) -> rollcast.client.results.Detections
     def health(
         self,
     ) -> rollcast.schemas.Health
@@ -231,6 +249,18 @@ class Client(
         scene: rollcast.scene.Scene | Mapping[str, Any] | None = None,
     ) -> rollcast.client.results.Simulation
 Crop = Literal['square']
+class Detections(
+        seen: jaxtyping.Float64[ndarray, 'balls 4 3'],
+        scores: jaxtyping.Float64[ndarray, 'balls'],
+        moving: jaxtyping.Float64[ndarray, 'balls'],
+        visible: jaxtyping.Float64[ndarray, 'balls 4'],
+        refined: jaxtyping.Bool[ndarray, 'balls'],
+        frame_size: tuple[int, int],
+        model: str,
+    ) -> None
+    def from_response(
+        response: rollcast.schemas.DetectResponse,
+    ) -> Self
 class Forecast(
         outputs: Mapping[str, numpy.ndarray],
         covariance_source: Literal['predicted', 'empirical'],

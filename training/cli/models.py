@@ -32,6 +32,7 @@ from training.evaluation.perturbations import measure as measure_perturbations
 from training.evaluation.perturbations import results_table
 from training.evaluation.real_clips import balls_look, eye_look
 from training.evaluation.real_clips import table as real_clips_table
+from training.evaluation.tracked_clips import table as tracked_clips_table
 from training.export.any_ball import BallGraphs
 from training.export.export import export_run, with_covariance
 from training.export.footage import export_setup
@@ -43,6 +44,21 @@ from training.networks.fieldnet import FieldNet
 from training.networks.recurrent import Network
 from training.studies.publish import DOCS, publish
 
+TRACKED_CLIPS_PAGE = """\
+# Balls tracked in real clips
+
+Written by `python -m training tracked-clips ADDRESS PID CLIPS TRACKS --page`. Clips are those of
+[balls found in real clips](real-clips.md) and others of the same kinds; some balls were tracked by
+hand. They serve for evaluation only. Every clip is tracked by `rollcast track` without options.
+
+`repeated` are frames that repeat the one before and were left out. `found` is the share of frames
+in which the balls that move were found. A ball that was tracked by hand counts as tracked where a
+track lies within its radius; `switches` counts how often this track is another one than before.
+Processor time is that of the command and of the service together, per second of the clip, on one
+machine with other work on it. MiB is the peak memory of the command.
+
+{table}
+"""
 REAL_CLIPS_PAGE = """# Balls found in real clips
 
 Written by `python -m training real-clips MODEL CLIPS TRACKS --page`, for `{label}`. The clips show
@@ -75,6 +91,7 @@ def add_to(app: typer.Typer) -> None:
     app.command("evaluate")(evaluate)
     app.command("error-breakdown")(error_breakdown)
     app.command("real-clips")(real_clips)
+    app.command("tracked-clips")(tracked_clips)
     app.command("perturbations")(perturbations)
     app.command("export")(export)
     app.command("quantise")(quantise)
@@ -101,6 +118,25 @@ def real_clips(
         text = REAL_CLIPS_PAGE.format(label=label, table="\n".join(lines))
         (DOCS / "results" / "real-clips.md").write_text(text, encoding="utf-8")
     show(lines)
+
+
+def tracked_clips(
+    url: Annotated[str, typer.Argument(help="address of a running service")],
+    service: Annotated[int, typer.Argument(help="id of its process, on this machine")],
+    clips: Annotated[Path, typer.Argument(help="folder of videos")],
+    tracks: Annotated[Path, typer.Argument(help="folder of setup.json and one table per clip")],
+    page: Annotated[
+        bool, typer.Option("--page", help="write the table into docs/results/tracked-clips.md")
+    ] = False,
+) -> None:
+    """Measure `rollcast track` on real clips with tracks."""
+    lines: list[str] = []
+    for line in tracked_clips_table(url, service, clips, tracks):
+        typer.echo(line)
+        lines.append(line)
+    if page:
+        text = TRACKED_CLIPS_PAGE.format(table="\n".join(lines))
+        (DOCS / "results" / "tracked-clips.md").write_text(text, encoding="utf-8")
 
 
 def perturbations(

@@ -297,15 +297,20 @@ def _clip(path: Path, crop: SquareCrop | None, name: str) -> Clip:
     tracks = Tracks.read(path)
     source = _source(path, (tracks.width, tracks.height))
     crop = crop or SquareCrop.centred(tracks.width, tracks.height)
-    frames = _small_frames(source, crop)
-    if len(frames) != len(tracks.times_s):
+    every_frame = _small_frames(source, crop)
+    if len(every_frame) <= tracks.frames[-1]:
         raise FootageError(
-            f"{source} has {len(frames)} frames, its tracks in {path} have {len(tracks.times_s)}"
+            f"{source} has {len(every_frame)} frames, its tracks in {path} reach to frame "
+            f"{tracks.frames[-1]}"
         )
+    whole = len(every_frame) == len(tracks.frames)
+    frames = every_frame if whole else every_frame[tracks.frames]
     positions = (tracks.positions_px - (crop.x, crop.y)) * (NETWORK_FRAME_SIZE / crop.size)
     spans = np.diff(tracks.times_s)
     usual = float(np.median(spans))
-    missed = np.concatenate([[False], (spans > MISSED_FRAME * usual) | _gaps(source)])
+    missed = np.concatenate(
+        [[False], (spans > MISSED_FRAME * usual) | _gaps(source, tracks.frames)]
+    )
     return Clip(
         name,
         frames,
@@ -356,11 +361,12 @@ def _size(path: Path) -> tuple[int, int] | None:
     return width, height
 
 
-def _gaps(source: Path) -> np.ndarray:
-    """Whether images are missing from the numbering, between each and the next."""
+def _gaps(source: Path, frames: np.ndarray) -> np.ndarray:
+    """Whether images are missing from the numbering, between each tracked one and the next."""
     if not source.is_dir():
         return np.array(False)
-    return np.diff(ImageSequence.from_folder(source, ANY_RATE).numbers) > 1
+    numbers = np.array(ImageSequence.from_folder(source, ANY_RATE).numbers)[frames]
+    return np.diff(numbers) > np.diff(frames)
 
 
 def _small_frames(source: Path, crop: SquareCrop) -> UInt8[np.ndarray, "frames 128 128 3"]:

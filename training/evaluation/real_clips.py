@@ -117,6 +117,22 @@ def _paths(
     return paths, {ball: float(np.nanmedian(values)) for ball, values in radii.items()}
 
 
+def hand_tracks(
+    table: Path,
+) -> tuple[dict[str, dict[int, tuple[float, float]]], dict[str, float]]:
+    """Places of every ball by frame, and its median radius, pixels of the video."""
+    paths: dict[str, dict[int, tuple[float, float]]] = {}
+    radii: dict[str, list[float]] = {}
+    with table.open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            if row["x"] in ("", "nan", "null"):
+                continue
+            place = (float(row["x"]), float(row["y"]))
+            paths.setdefault(row["ball"], {})[int(row["frame"])] = place
+            radii.setdefault(row["ball"], []).append(float(row["radius"] or "nan"))
+    return paths, {ball: float(np.nanmedian(values)) for ball, values in radii.items()}
+
+
 def _moves(path: Mapping[int, tuple[float, float]], start: int) -> bool:
     frames = range(start, start + OBSERVED_FRAMES)
     if any(frame not in path for frame in frames):

@@ -19,6 +19,7 @@ from training.data.clip_dataset import SETUP_FILE, Clip, Clips, Setup, load_clip
 from training.data.splits import Split
 from training.engine.loop import TrainerConfig
 from training.engine.trainer import Trainer
+from training.export.graph_finder import GraphFinder
 from training.export.load import initial_networks, load_exported
 from training.networks.recurrent import Family
 from training.objectives.metrics import forecast
@@ -31,6 +32,8 @@ BEGIN, END = "<!-- made by `python -m training real` -->", "<!-- end of it -->"
 MODELS = Path(__file__).parents[2] / "models"
 ONE_BALL, SEVERAL_BALLS = MODELS / "fieldnet" / "1", MODELS / "fieldnet-3" / "1"
 """What simulation taught."""
+PERCEPTION = MODELS / "any-ball" / "1"
+"""What tracks the clips."""
 STAGES = {1: (setup, setup_continued), 4: (setup, setup_seeing, setup_continued)}
 """Trainings on the arena, each of which goes on from the one before, by number of balls: four that
 look alike are what an eye needs lessons for."""
@@ -165,9 +168,9 @@ def tracked(source: Path, filmed: FootageSource) -> list[Quality]:
         clip.unlink(missing_ok=True)
         clip.symlink_to((source / clip.name).resolve())
     if not all(report.exists() for report in reports):
-        palettes = None
+        palettes, finder = None, GraphFinder(PERCEPTION)
         for clip, report in zip(clips, reports, strict=True):
-            tracks, quality, found = track(clip, balls=filmed.balls, like=palettes)
+            tracks, quality, found = track(clip, finder, balls=filmed.balls, like=palettes)
             palettes = found if palettes is None else palettes
             tracks.write(clip.with_suffix(".parquet"))
             report.write_text(quality.model_dump_json())

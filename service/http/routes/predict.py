@@ -9,15 +9,13 @@ from fastapi.sse import EventSourceResponse, format_sse_event
 from rollcast.schemas import PredictRequest, PredictResponse, StreamDone, StreamStep
 from service.errors import ServiceError
 from service.http.openapi import body_of, problems_of
-from service.http.prediction import Parser, StreamedForecast, WholeForecast
+from service.http.prediction import StreamedForecast, WholeForecast
 from service.http.problem_details import document
 from service.http.request_body import (
     JSON,
     MULTIPART,
-    Body,
     media_type,
-    parse_form,
-    parse_json,
+    parser_of,
     received,
 )
 from service.inference.deadlines import (
@@ -34,8 +32,6 @@ router = APIRouter(tags=["forecast"])
 
 PROBLEMS = problems_of(400, 401, 403, 404, 408, 413, 415, 422, 429, 503, 504)
 EVENTS = "text/event-stream"
-FILES = frozenset({"frames", "final_frame"})
-LISTS = frozenset({"frames"})
 
 
 @router.post(
@@ -55,7 +51,7 @@ async def predict(request: Request, service: ServiceState) -> Response:
     kind = media_type(request, (JSON, MULTIPART))
     try:
         async with received(request) as body:
-            parse = _parser(kind, body, request)
+            parse = parser_of(PredictRequest, kind, body, request)
             content = await answered(request, timeout_s(request, service.settings), submit)
     except ClientGoneError:
         return Response(status_code=CLIENT_CLOSED_REQUEST)
@@ -87,21 +83,11 @@ async def predict_stream(request: Request, service: ServiceState) -> Response:
 
     kind = media_type(request, (JSON, MULTIPART))
     async with received(request) as body:
-        parse = _parser(kind, body, request)
+        parse = parser_of(PredictRequest, kind, body, request)
         events = streamed(request, timeout_s(request, service.settings), submit)
         # What is refused before the first step is refused as by /predict.
         first = await anext(events, None)
     return EventSourceResponse(_lines(first, events))
-
-
-def _parser(kind: str, body: Body, request: Request) -> Parser:
-    """Return the parser of the body, which runs in a worker thread."""
-    if kind == JSON:
-        return lambda _: (parse_json(body, PredictRequest), [])
-    content_type = request.headers["content-type"]
-    return lambda check: parse_form(
-        body, content_type, PredictRequest, files=FILES, lists=LISTS, check=check
-    )
 
 
 async def _lines(

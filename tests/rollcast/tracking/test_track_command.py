@@ -9,7 +9,16 @@ import pytest
 from rollcast.__main__ import main
 from rollcast.tracking.tracks import Tracks
 from rollcast.video import every_frame
+from tests.e2e.conftest import serving
 from tests.rollcast.tracking.billiards import billiards
+
+
+@pytest.fixture(scope="module", autouse=True)
+def service():
+    """A real service, which the commands ask by the environment's address."""
+    with serving() as address, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROLLCAST_URL", address)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +38,17 @@ def test_clips_get_tracks_a_report_and_a_film_each(clips, tmp_path, capsys):
         assert report["frames"] == 60
         assert sum(1 for _ in every_frame(out / "films" / f"{clip.stem}.mp4")) == 60
         assert f"{clip.stem}: 60 frames, 2.0 s, {100 * report['found']:.1f} %" in said
+
+
+def test_tracks_are_written_as_csv(clips, tmp_path, capsys):
+    assert (
+        main(["track", str(clips[0]), "--out", str(tmp_path), "--format", "csv", "--no-film"]) == 0
+    )
+    rows = np.genfromtxt(tmp_path / "clip1.csv", delimiter=",", names=True, skip_header=1)
+    assert len(rows) == 2 * 60
+    tracks = Tracks.read(tmp_path / "clip1.csv")
+    np.testing.assert_array_equal(tracks.positions_px[..., 0].ravel(), rows["x"])
+    assert not (tmp_path / "films").exists()
 
 
 def test_clips_of_one_name_in_two_folders_are_kept_apart(clips, tmp_path, capsys):
@@ -70,7 +90,7 @@ def test_images_are_tracked_at_the_rate_that_is_named(tmp_path, capsys):
     [
         (["missing.mp4"], 1, "missing.mp4 cannot be read: No such file or directory"),
         (["here/a.mp4", "here/a.mov"], 1, "two clips are called a; rename one of them"),
-        (["a.mp4", "--balls", "5"], 2, "5 is not a whole number from 1 to 4"),
+        (["a.mp4", "--balls", "9"], 2, "9 is not a whole number from 1 to 8"),
         (["a.mp4", "--crop", "1,2"], 2, "1,2 is not X,Y,SIZE"),
     ],
 )

@@ -1,14 +1,14 @@
 """Tracks of made-up films beside the truth."""
 
-import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from rollcast.ball_finding import Sightings
 from rollcast.errors import CropError, FootageError
 from rollcast.footage import SquareCrop
-from rollcast.tracking.background import background_of
 from rollcast.tracking.overlay import draw_tracks
 from rollcast.tracking.track import Tracked, track
 from rollcast.tracking.tracks import Tracks
@@ -23,19 +23,27 @@ from tests.rollcast.tracking.billiards import (
     Billiards,
     billiards,
 )
+from training.export.graph_finder import GraphFinder
 
 FRAMES = 110
+NO_COLOURS = b"# {}\nclip,frame,time,ball,x,y,radius,confidence\nc,0,0.0,0,1,1,1,1\n"
+PERCEPTION = Path(__file__).parents[3] / "models/any-ball/1"
 
 
 @pytest.fixture(scope="module")
-def four(tmp_path_factory) -> tuple[Billiards, Tracked]:
+def finder():
+    return GraphFinder(PERCEPTION)
+
+
+@pytest.fixture(scope="module")
+def four(finder, tmp_path_factory) -> tuple[Billiards, Tracked]:
     made = billiards(BALLS, FRAMES, seed=3)
     path = made.film(tmp_path_factory.mktemp("four") / "four.mp4")
-    return made, track(path)
+    return made, track(path, finder)
 
 
 def distances(tracks: Tracks, truth: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(tracks.positions_px - truth, axis=-1)
+    return np.linalg.norm(tracks.positions_px - truth[tracks.frames], axis=-1)
 
 
 def test_the_balls_are_counted_and_ordered_by_hue(four):
@@ -49,16 +57,21 @@ def test_the_balls_are_counted_and_ordered_by_hue(four):
 def test_nearly_all_of_the_balls_are_found_where_they_are(four):
     made, (tracks, _, _) = four
     apart = distances(tracks, made.positions_px)
-    assert tracks.found.mean() > 0.98
-    assert np.nanmedian(apart) < 0.25
-    assert np.nanquantile(apart, 0.99) < 1.5
+    assert tracks.found.mean() > 0.92
+    assert np.nanmedian(apart) < 0.4
+    assert np.nanquantile(apart, 0.98) < RADIUS_PX / 2
 
 
 def test_no_ball_is_taken_for_another_one(four):
     made, (tracks, quality, _) = four
     close = np.linalg.norm(made.positions_px[:, :, None] - made.positions_px[:, None], axis=-1)
     assert ((close < 2.1 * RADIUS_PX).sum(axis=(1, 2)) > BALLS).any()  # some do touch
-    assert np.nanmax(distances(tracks, made.positions_px)) < RADIUS_PX
+    others = np.linalg.norm(
+        tracks.positions_px[:, :, None] - made.positions_px[tracks.frames][:, None], axis=-1
+    )
+    nearest = others.argmin(axis=-1)[tracks.found]
+    assert (nearest == np.nonzero(tracks.found)[1]).mean() > 0.98
+    assert np.nanmax(distances(tracks, made.positions_px)) < 1.5 * RADIUS_PX
     assert not quality.suspected_swaps
 
 
@@ -74,80 +87,86 @@ def test_radius_time_and_report_fit(four):
     assert missing == (~tracks.found).sum()
 
 
-def test_balls_of_one_colour_are_told_apart_by_where_they_go(tmp_path):
+def test_balls_of_one_colour_are_told_apart_by_where_they_go(tmp_path, finder):
     made = billiards(2, FRAMES, seed=5, colours=[COLOURS[0], COLOURS[0]])
-    tracks = track(made.film(tmp_path / "alike.mp4"), balls=2).tracks
+    tracks = track(made.film(tmp_path / "alike.mp4"), finder, balls=2).tracks
     either = [distances(tracks, made.positions_px[:, order]) for order in ([0, 1], [1, 0])]
     assert min(np.nanmax(one) for one in either) < RADIUS_PX
 
 
-def test_what_is_hidden_is_a_gap_and_the_ball_the_same_after_it(tmp_path):
+def test_what_is_hidden_is_a_gap_and_the_ball_the_same_after_it(tmp_path, finder):
     made = billiards(2, FRAMES, seed=1)
-    tracks, quality, _ = track(made.film(tmp_path / "bar.mp4", bar=True), balls=2)
-    x = made.positions_px[..., 0]
+    tracks, quality, _ = track(made.film(tmp_path / "bar.mp4", bar=True), finder, balls=2)
+    x = made.positions_px[tracks.frames][..., 0]
     hidden = (x > 110 + RADIUS_PX) & (x < 140 - RADIUS_PX)
     assert hidden.any()
-    assert not tracks.found[hidden].any()
-    assert (tracks.confidences[hidden] == 0).all()
+    # In a window that shows the ball before or after, the network says where it must have been.
+    assert tracks.found[hidden].mean() <= 0.5
+    assert (tracks.confidences[~tracks.found] == 0).all()
     clear = (x < 110 - RADIUS_PX) | (x > 140 + RADIUS_PX)
     assert tracks.found[clear].mean() > 0.97
     assert np.nanmax(distances(tracks, made.positions_px)[clear]) < RADIUS_PX
     assert quality.gaps
-    assert {gap.reason for gap in quality.gaps} == {"not seen"}
 
 
-def test_light_that_flickers_is_no_ball(tmp_path):
+def test_light_that_flickers_is_no_ball(tmp_path, finder):
     made = billiards(2, 90, seed=2)
-    tracks = track(made.film(tmp_path / "flicker.mp4", flicker=0.08)).tracks
+    tracks = track(made.film(tmp_path / "flicker.mp4", flicker=0.08), finder).tracks
     assert tracks.balls == 2
-    assert tracks.found.mean() > 0.97
-    assert np.nanmax(distances(tracks, made.positions_px)) < RADIUS_PX / 2
+    assert tracks.found.mean() > 0.93
+    assert np.nanmax(distances(tracks, made.positions_px)) < RADIUS_PX
 
 
-def test_a_ball_that_rests_for_most_of_the_clip_is_found_all_the_time(tmp_path):
+def test_a_ball_that_rests_for_most_of_the_clip_is_found_all_the_time(tmp_path, finder):
     made = billiards(2, 120, seed=4)
     way = made.positions_px.copy()
     way[:, 1] = (40.0, 90.0)
     way[90:, 1] += np.arange(30)[:, None] * (4.0, 1.0)
     way[:, 0, 0] = way[:, 0, 0].clip(150, None)  # out of its way
-    tracks = track(Billiards(way, made.colours).film(tmp_path / "rest.mp4"), balls=2).tracks
+    tracks = track(Billiards(way, made.colours).film(tmp_path / "rest.mp4"), finder, balls=2).tracks
     assert tracks.found.mean() > 0.97
     assert np.nanmax(distances(tracks, way)) < RADIUS_PX
 
 
-def test_the_next_clip_keeps_the_order_of_the_balls(four, tmp_path):
+def test_the_next_clip_keeps_the_order_of_the_balls(four, tmp_path, finder):
     palettes = four[1].palettes
     made = billiards(BALLS, 90, seed=8)
-    tracks = track(made.film(tmp_path / "next.mp4"), balls=BALLS, like=palettes[::-1]).tracks
+    tracks = track(
+        made.film(tmp_path / "next.mp4"), finder, balls=BALLS, like=palettes[::-1]
+    ).tracks
     assert np.nanmax(distances(tracks, made.positions_px[:, ::-1])) < RADIUS_PX
 
 
-def test_in_a_crop_positions_are_those_of_the_whole_picture(tmp_path):
+def test_in_a_crop_positions_are_those_of_the_whole_picture(tmp_path, finder):
     made = billiards(1, 90, seed=6)
     way = made.positions_px * 0.4 + (100, 60)
     path = Billiards(way, made.colours).film(tmp_path / "crop.mp4")
-    tracks = track(path, crop=SquareCrop(80, 20, 150)).tracks
+    tracks = track(path, finder, crop=SquareCrop(80, 20, 150)).tracks
     assert (tracks.width, tracks.height) == (WIDTH, HEIGHT)
     assert np.nanmax(distances(tracks, way)) < 1.5
     with pytest.raises(CropError, match="the picture is 240 x 180"):
-        track(path, crop=SquareCrop(100, 0, 180))
+        track(path, finder, crop=SquareCrop(100, 0, 180))
 
 
-def test_a_table_of_tracks_is_read_as_it_was_written(four, tmp_path):
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+def test_a_table_of_tracks_is_read_as_it_was_written(four, tmp_path, suffix):
     tracks = four[1].tracks
-    tracks.write(tmp_path / "four.parquet")
-    again = Tracks.read(tmp_path / "four.parquet")
+    tracks.write(tmp_path / f"four{suffix}")
+    again = Tracks.read(tmp_path / f"four{suffix}")
     assert again.clip == "four"
     assert again.colours == tracks.colours
-    for name in ("times_s", "positions_px", "radii_px", "confidences"):
+    for name in ("frames", "times_s", "positions_px", "radii_px", "confidences"):
         np.testing.assert_array_equal(getattr(again, name), getattr(tracks, name))
 
 
-@pytest.mark.parametrize("content", [b"", b"not a table"])
-def test_what_is_no_table_of_tracks_is_refused(tmp_path, content):
-    (tmp_path / "bad.parquet").write_bytes(content)
-    with pytest.raises(FootageError, match=r"bad\.parquet cannot be read as tracks"):
-        Tracks.read(tmp_path / "bad.parquet")
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+@pytest.mark.parametrize(
+    "content", [b"", b"not a table", b"# {\nclip\n", b"# {}\nclip,x\n1,2\n", NO_COLOURS]
+)
+def test_what_is_no_table_of_tracks_is_refused(tmp_path, content, suffix):
+    (tmp_path / f"bad{suffix}").write_bytes(content)
+    with pytest.raises(FootageError, match=r"bad\.\w+ (cannot be read as|holds no) tracks"):
+        Tracks.read(tmp_path / f"bad{suffix}")
 
 
 def test_the_overlay_shows_every_ball(four):
@@ -160,7 +179,7 @@ def test_the_overlay_shows_every_ball(four):
         assert beside.any()
 
 
-def test_a_camera_that_moves_is_told(tmp_path):
+def test_a_camera_that_moves_is_told(tmp_path, finder):
     made = billiards(1, 60, seed=1)
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     checks = (((x // 20 + y // 20) % 2)[..., None] * 120).astype(np.uint8)
@@ -169,28 +188,51 @@ def test_a_camera_that_moves_is_told(tmp_path):
     ]
     write_film(tmp_path / "pan.mp4", map(Image.fromarray, pictures), FRAME_RATE)
     with pytest.raises(FootageError, match="needs a fixed camera"):
-        track(tmp_path / "pan.mp4")
+        track(tmp_path / "pan.mp4", finder)
 
 
-def test_a_film_without_balls_or_with_too_few_frames_is_told(tmp_path):
+def test_a_film_without_balls_or_with_too_few_frames_is_told(tmp_path, finder):
     still = Billiards(np.tile([[[60.0, 60.0]]], (60, 1, 1)), COLOURS)
-    with pytest.raises(FootageError, match="round moving objects were found in 60 pictures"):
-        track(still.film(tmp_path / "still.mp4"))
+    with pytest.raises(FootageError, match="none of them moves"):
+        track(still.film(tmp_path / "still.mp4"), finder)
     short = billiards(1, 12, seed=1).film(tmp_path / "short.mp4")
-    with pytest.raises(FootageError, match="has 12 frames, expected at least 20"):
-        track(short)
+    with pytest.raises(FootageError, match="has 12 different frames, expected at least 20"):
+        track(short, finder)
 
 
-def test_memory_does_not_grow_with_what_is_computed_of_each_picture(monkeypatch):
-    """Beside the pictures themselves a background takes a few of them, whatever their number."""
-    monkeypatch.setattr("rollcast.tracking.background.BAND_VALUES", 100_000)
-    made = billiards(2, FRAMES, 1)
-    pictures = np.stack([np.asarray(made.picture(index)) for index in range(FRAMES)])
-    tracemalloc.start()
-    try:
-        background_of(pictures)
-        _, most = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    # As floats, all at once, they would take four times their bytes.
-    assert most < pictures.nbytes
+def test_frames_that_the_file_repeats_are_left_out(tmp_path, finder):
+    made = billiards(1, 60, seed=6)
+    pictures = [made.picture(index // 3) for index in range(120)]
+    write_film(tmp_path / "repeats.mp4", pictures, FRAME_RATE)
+    tracks, quality, _ = track(tmp_path / "repeats.mp4", finder)
+    assert quality.repeated == 80
+    np.testing.assert_array_equal(tracks.frames, np.arange(0, 120, 3))
+    assert np.nanmedian(np.linalg.norm(tracks.positions_px - made.positions_px[:40], axis=-1)) < 0.5
+
+
+def test_memory_does_not_grow_with_the_length_of_a_clip(tmp_path):
+    """Pictures are looked at and let go, except those of a few windows."""
+    alive = [0, 0]
+
+    class Counted(np.ndarray):
+        def __array_finalize__(self, made_from):
+            alive[0] += 1
+            alive[1] = max(alive)
+
+        def __del__(self):
+            alive[0] -= 1
+
+    class Blind:
+        def prepare(self, picture):
+            return picture.view(Counted)
+
+        def find(self, frames):
+            return Sightings(
+                np.empty((0, 4, 2)), np.empty(0), np.empty(0), np.empty(0), np.empty((0, 4)),
+                np.empty(0, bool),
+            )  # fmt: skip
+
+    path = billiards(1, 240, seed=1).film(tmp_path / "long.mp4")
+    with pytest.raises(FootageError, match="0 round objects were found in 240 frames"):
+        track(path, Blind())
+    assert 4 <= alive[1] < 30

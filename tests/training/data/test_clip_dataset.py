@@ -27,7 +27,11 @@ def write_tracks(path: Path, positions_px: np.ndarray) -> None:
     radii = np.where(missing, np.nan, 9.0)
     times = np.arange(frames) / FRAME_RATE
     colours = tuple("#{:02x}{:02x}{:02x}".format(*colour) for colour in COLOURS[:balls])
-    Tracks(path.stem, WIDTH, HEIGHT, colours, times, positions_px, radii, 1.0 - missing).write(path)
+    numbers = np.arange(frames)
+    scores = 1.0 - missing
+    Tracks(path.stem, WIDTH, HEIGHT, colours, numbers, times, positions_px, radii, scores).write(
+        path
+    )
 
 
 @pytest.fixture(scope="module")
