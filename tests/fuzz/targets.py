@@ -37,8 +37,7 @@ from service.errors import ServiceError
 from service.http.oip.schemas import InferRequest
 from service.http.oip.tensors import read_query, split
 from service.http.problem_details import document
-from service.http.request_body import parse_form, parse_json
-from service.http.routes.predict import FILES, LISTS
+from service.http.request_body import FILES, LISTS, parse_form, parse_json
 from service.settings import Settings
 from tests.service import samples
 

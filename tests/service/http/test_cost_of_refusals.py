@@ -21,8 +21,7 @@ from service.errors import ServiceError
 from service.http.oip.schemas import InferRequest
 from service.http.oip.tensors import read_query
 from service.http.problem_details import document
-from service.http.request_body import parse_form, parse_json
-from service.http.routes.predict import FILES, LISTS
+from service.http.request_body import FILES, LISTS, parse_form, parse_json
 from tests.service import samples
 from tests.service.samples import decode_frames, dot, encode, png, png_chunk
 
