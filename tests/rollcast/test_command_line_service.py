@@ -275,8 +275,8 @@ def test_the_help_of_the_whole(run, monkeypatch, arguments):
     assert printed == snapshot("""\
 Usage: rollcast [OPTIONS] COMMAND [ARGS]...
 
-  Forecast where rolling balls go. All commands except serve and track call a running service
-  (rollcast serve, or make serve).
+  Forecast where rolling balls go. All commands except serve call a running service (rollcast
+  serve, or make serve).
 
   Example:
     rollcast serve &
@@ -288,6 +288,7 @@ Usage: rollcast [OPTIONS] COMMAND [ARGS]...
   --install-completion` completes commands and options in your shell.
 
 Options:
+  --version             print the version
   --api-key KEY         API key, for a service that requires one; prefer the environment variable
                         ROLLCAST_API_KEY
   --install-completion  Install completion for the current shell.
@@ -298,6 +299,7 @@ Options:
 Commands:
   serve     Serve the models until stopped: those of this checkout, or of the package...
   predict   Forecast balls in a video or in images.
+  live      Forecast balls in a running picture.
   simulate  Simulate a scene: its frames and the true path.
   track     Track balls in clips from an overhead camera.
   models    List the models of a service, with the reason for rejected ones.
