@@ -59,7 +59,6 @@ def distinct_frames(taken: Iterable[TakenFrame]) -> Iterator[NumberedFrame]:
             last = (grey, frame.time_s)
         waiting = []
         yield frame
-    yield from waiting
 
 
 def _grey(picture: UInt8[np.ndarray, "height width 3"]) -> Int16[np.ndarray, "rows columns"]:

@@ -24,7 +24,7 @@ from rollcast.tracking.tracklets import Tracklet, link_tracklets, moving_trackle
 from rollcast.tracking.tracks import Tracks
 
 FEWEST_FRAMES = 20
-MOST_CHANGING = 0.25
+MOST_CHANGING = 0.1
 """Share of the picture that may change from frame to frame; with more the camera moves."""
 MERGED = 5
 """Frames between encounters of the same balls that count as one."""
