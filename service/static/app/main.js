@@ -8,7 +8,7 @@ import { byId } from "./dom.js";
 import { signedSeconds } from "./figures.js";
 import { LazySurface } from "./lazy_surface.js";
 import { clearMessages, showError, showWait } from "./messages.js";
-import { finalStepOf, forAnyNumber, labelOf, leading, rateOf, readRectangles } from "./models.js";
+import { finalStepOf, forAnyNumber, leading, rateOf, readRectangles } from "./models.js";
 import { Picks } from "./picks.js";
 import { Player } from "./player.js";
 import { showFigures, showHealth, showLegend, showNotes } from "./readout.js";
@@ -121,7 +121,7 @@ async function run() {
     }
     leaveEditing();
     begin(choices, horizon);
-    const forecasts = session.forecast(modelsOf(choices), requestOf(choices), signal);
+    const forecasts = session.forecast(choices.models, requestOf(choices), signal);
     const going = choices.source === "scene" ? "Loading the later frames …" : "Reading on in your footage …";
     showBusy(others ? going : null);
     await Promise.all([forecasts, others?.(horizon - 1 + LAST_SEEN)]);
@@ -145,13 +145,6 @@ async function run() {
       requestShow();
     }
   }
-}
-
-/** The models that are asked; where the number is left open, "auto" would take one ball. */
-function modelsOf(choices) {
-  const any = choices.balls === 0 ? forAnyNumber(entries, choices) : null;
-  if (!any) return choices.models;
-  return [...new Set(choices.models.map((name) => (name === "auto" ? labelOf(any) : name)))];
 }
 
 /** Set the clock to the beginning of what has just come. */
