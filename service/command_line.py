@@ -9,7 +9,12 @@ import typer
 from pydantic import ValidationError
 
 from service.auth.api_keys import without_tokens
-from service.settings import Settings, described, metrics_folder
+from service.settings import (
+    Settings,
+    described,
+    keep_products_on_one_thread,
+    metrics_folder,
+)
 
 SETTINGS = """\
 Settings are environment variables, or the same names in lower case and without ROLLCAST_ in the
@@ -41,6 +46,7 @@ def serve(
     ] = 8000,
 ) -> None:
     """Serve the models of this checkout until stopped."""
+    keep_products_on_one_thread()
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         settings = Settings()

@@ -34,7 +34,7 @@ CSV = ".csv"
 
 
 class _ClipProperties(BaseModel):
-    """What holds for all rows of a table."""
+    """Properties that all rows of a table share."""
 
     width: int
     height: int

@@ -10,7 +10,13 @@ import pytest
 
 from rollcast.client import Client
 from rollcast.errors import BadRequestError
-from tests.e2e.conftest import ROOT, start_service, stop_service, wait_until_ready
+from tests.e2e.conftest import (
+    ROOT,
+    SERVICE_PYTHON,
+    start_service,
+    stop_service,
+    wait_until_ready,
+)
 
 
 def test_from_a_scene_to_a_forecast(client):
@@ -103,3 +109,18 @@ def test_a_port_in_use_gives_one_clear_line(address):
         f"rollcast: cannot listen on 127.0.0.1:{port}: Address already in use; "
         "choose another port with --port\n"
     )
+
+
+def test_products_stay_on_one_thread():
+    """OpenBLAS makes a thread for every core when NumPy is imported, unless it is told before."""
+    program = (
+        "import os, sys, service.command_line\n"
+        "from service.settings import keep_products_on_one_thread\n"
+        "assert 'numpy' not in sys.modules\n"
+        "keep_products_on_one_thread()\n"
+        "import numpy\n"
+        "print(len(os.listdir('/proc/self/task')))"
+    )
+    command = ["env", "-u", "OMP_NUM_THREADS", SERVICE_PYTHON, "-c", program]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == "1\n"
