@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import (
+    AliasChoices,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -36,6 +37,8 @@ from rollcast.scene import (
 from rollcast.trajectory import OBSERVED_FRAMES
 
 API_VERSION = "1.0"
+FORMER_NUMBER = "objects"
+"""Former name of ``num_objects`` in forecasts, still read (decision 0147)."""
 AUTO_MODEL = "auto"
 REQUEST_ID_HEADER = "X-Request-ID"
 REPLICA_HEADER = "X-Rollcast-Replica"
@@ -184,7 +187,10 @@ class PredictRequest(RequestBody):
     """A frame of the same size that shows step ``final_step`` of the model."""
     horizon: Annotated[Integer, Field(ge=1, le=MAX_HORIZON)] | None = None
     """Number of steps, t = 0..horizon-1: 40 by default, with a final frame ``final_step`` + 1."""
-    num_objects: Annotated[Integer, Field(ge=1, le=MAX_BALLS)] | None = None
+    num_objects: Annotated[
+        Annotated[Integer, Field(ge=1, le=MAX_BALLS)] | None,
+        Field(validation_alias=AliasChoices("num_objects", FORMER_NUMBER)),
+    ] = None
     """Number of balls: by default the named model's, with "auto" one. A model for any number of
     balls follows, by default, those that move."""
     balls: Annotated[

@@ -18,6 +18,7 @@ from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import ClientDisconnect
 
+from rollcast.schemas import FORMER_NUMBER
 from service.errors import (
     BodyTooLargeError,
     BodyTooSlowError,
@@ -227,7 +228,7 @@ def parse_form(
     boundary = options.get(b"boundary")
     if not boundary:
         raise MalformedBodyError("The content type of a multipart body needs a boundary.")
-    form = _Form(frozenset(model.model_fields), files, lists)
+    form = _Form(frozenset(model.model_fields) | {FORMER_NUMBER}, files, lists)
     try:
         parser = MultipartParser(
             boundary,

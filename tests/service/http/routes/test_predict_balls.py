@@ -204,3 +204,15 @@ def test_models_tell_how_many_balls_they_follow(client):
     entries = {entry["name"]: entry for entry in client.get("/models").json()["models"]}
     assert entries["dots"]["max_objects"] == 8
     assert entries["dot"]["max_objects"] is None
+
+
+def test_the_former_name_of_the_number_is_read(client):
+    seen = paths((40, 50), (90, 30))
+    images = files(dots(seen, 128, 128))
+    asked = body(images, model="dots", objects=2)
+    assert len(client.post("/predict", json=asked).json()["objects"]) == 2
+    form = {"model": "dots", "objects": "2"}
+    assert len(client.post("/predict", data=form, files=parts(images)).json()["objects"]) == 2
+    both = client.post("/predict", json={**asked, "num_objects": 2})
+    assert both.status_code == 422
+    assert "objects" in both.json()["detail"]
