@@ -28,7 +28,7 @@ COMMANDS = [
     for block in BLOCKS
     if block.language == "sh"
     for line in block.text.splitlines()
-    if "clip.mp4" in line and "--rate" not in line
+    if line.startswith("rollcast predict clip.mp4") and "--rate" not in line
 ]
 PYTHON = [block.text for block in BLOCKS if block.language == "python" and "clip.mp4" in block.text]
 
