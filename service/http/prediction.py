@@ -388,7 +388,7 @@ def _horizon(request: PredictRequest, manifest: Manifest) -> int:
         return request.horizon or DEFAULT_HORIZON
     fixed = manifest.final_step + 1
     if request.horizon not in (None, fixed):
-        expected = f"{fixed}, final_step + 1 of {manifest.label}"
+        expected = f"{fixed}: the final frame of {manifest.label} shows step {manifest.final_step}"
         raise InvalidValueError.at("horizon", request.horizon, expected)
     return fixed
 

@@ -55,7 +55,7 @@ def questions(address) -> list[Question]:
         for model in kinds.values():
             step = model.final_step or 0
             scene = client.simulate(
-                model.scenarios[0], seed=11, objects=model.objects, steps=4 + step
+                model.scenarios[0], seed=11, num_objects=model.objects, steps=4 + step
             )
             chosen = [0, 1, 2, 3] if model.final_step is None else [0, 1, 2, 3, 3 + step]
             asked.append(Question(model, scene.frames[chosen]))

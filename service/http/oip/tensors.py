@@ -337,7 +337,7 @@ def _horizon(tensor: np.ndarray | None, manifest: Manifest) -> int:
         return fixed or manifest.trained_horizon
     horizon = int(tensor[0])
     if fixed is not None and horizon != fixed:
-        expected = f"{fixed}, final_step + 1 of {manifest.label}"
+        expected = f"{fixed}: the final frame of {manifest.label} shows step {manifest.final_step}"
         raise InvalidValueError.at(HORIZON_INPUT, horizon, expected)
     if not 1 <= horizon <= MAX_HORIZON:
         raise InvalidValueError.at(HORIZON_INPUT, horizon, f"1 to {MAX_HORIZON}")

@@ -84,7 +84,7 @@ def test_auto_without_a_suitable_model(client):
 @pytest.mark.parametrize(
     ("fields", "field", "expected"),
     [
-        ({"horizon": "40"}, "horizon", "10, final_step + 1 of between@1"),
+        ({"horizon": "40"}, "horizon", "10: the final frame of between@1 shows step 9"),
         ({"model": "dot"}, "final_frame", "none: dot@1 reads the observed frames alone"),
     ],
 )

@@ -17,7 +17,7 @@ OUT_OF_SIGHT = {"steps", "include_frames", "include_surface", "image_size"}
 """Fields of a request that change what is answered, not what a model sees of it: frames are resized
 to the networks' size."""
 
-NOT_ONE_BALL = {"objects", "ball_friction", "ball_restitution", "mass_ratios"}
+NOT_ONE_BALL = {"num_objects", "ball_friction", "ball_restitution", "mass_ratios"}
 """Several balls have recipes of their own."""
 
 WIDE_ENOUGH: dict[str, tuple[float, float]] = {

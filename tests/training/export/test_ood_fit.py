@@ -89,7 +89,7 @@ def test_balls_are_lost_where_their_place_is_less_certain_than_in_known_scenes(
     assert Manifest.read(folder / MANIFEST_FILE) == manifest
     known = manifest.place_uncertainty
     assert known is not None
-    assert known.test_windows == 4 * PLACED_A_SCENE
+    assert known.test_windows >= 4 * PLACED_A_SCENE
     # Balls of some 12 px are placed to fractions of a pixel, and nearly all of them are found.
     assert 0.5 <= known.threshold_px < 1
     assert known.false_alarm_rate <= 4 / known.test_windows

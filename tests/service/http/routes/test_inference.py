@@ -263,7 +263,10 @@ def test_a_final_frame_fixes_the_horizon(client):
     assert_same(outputs_of(infer(client, as_json(FINAL, 10), "between")), by_default)
     refused = infer(client, as_json(FINAL, 9), "between")
     assert refused.status_code == 400
-    assert only_error(refused) == "horizon is 9, expected 10, final_step + 1 of between@1"
+    assert (
+        only_error(refused)
+        == "horizon is 9, expected 10: the final frame of between@1 shows step 9"
+    )
 
 
 def test_the_horizon_is_the_trained_one_by_default(client):
