@@ -19,7 +19,8 @@ from training.recipes.tiny import tiny
 COMMANDS = {
     "simulate", "check-world", "train", "dry-run", "plot-run", "auto-train", "evaluate",
     "error-breakdown", "export", "quantise", "fit-ood", "setup", "real", "real-clips",
-    "tracked-clips", "perturbations", "study", "report", "train-balls", "train-encounters", "export-balls",
+    "tracked-clips", "perturbations", "study", "report", "train-balls", "train-encounters",
+    "export-balls",
 }  # fmt: skip
 
 
