@@ -1,6 +1,6 @@
 """Commands that measure, take apart, export and convert models."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -22,7 +22,6 @@ from training.cli.options import (
     Workers,
     failed,
     recipe_of,
-    show,
 )
 from training.common.settings import runs_folder
 from training.data.shards import Source
@@ -112,12 +111,10 @@ def real_clips(
     else:
         graphs = BallGraphs(model)
         look = balls_look(graphs.detect, graphs.refine)
-    lines = list(real_clips_table(look, clips, tracks))
+    lines = _shown(real_clips_table(look, clips, tracks))
     if page:
         label = Manifest.read(model / MANIFEST_FILE).label
-        text = REAL_CLIPS_PAGE.format(label=label, table="\n".join(lines))
-        (DOCS / "results" / "real-clips.md").write_text(text, encoding="utf-8")
-    show(lines)
+        _write_page("real-clips", REAL_CLIPS_PAGE.format(label=label, table=lines))
 
 
 def tracked_clips(
@@ -130,13 +127,9 @@ def tracked_clips(
     ] = False,
 ) -> None:
     """Measure `rollcast track` on real clips with tracks."""
-    lines: list[str] = []
-    for line in tracked_clips_table(url, service, clips, tracks):
-        typer.echo(line)
-        lines.append(line)
+    lines = _shown(tracked_clips_table(url, service, clips, tracks))
     if page:
-        text = TRACKED_CLIPS_PAGE.format(table="\n".join(lines))
-        (DOCS / "results" / "tracked-clips.md").write_text(text, encoding="utf-8")
+        _write_page("tracked-clips", TRACKED_CLIPS_PAGE.format(table=lines))
 
 
 def perturbations(
@@ -154,10 +147,22 @@ def perturbations(
         measured = list(measure_perturbations(service, sets, model))
     text = results_table(measured)
     if page:
-        (DOCS / "results" / "perturbations.md").write_text(
-            PERTURBATIONS_PAGE.format(model=model, scenes=scenes, table=text), encoding="utf-8"
-        )
+        filled = PERTURBATIONS_PAGE.format(model=model, scenes=scenes, table=text)
+        _write_page("perturbations", filled)
     typer.echo(text)
+
+
+def _shown(lines: Iterable[str]) -> str:
+    """Print lines as they come; return them as one text."""
+    kept: list[str] = []
+    for line in lines:
+        typer.echo(line)
+        kept.append(line)
+    return "\n".join(kept)
+
+
+def _write_page(name: str, text: str) -> None:
+    (DOCS / "results" / f"{name}.md").write_text(text, encoding="utf-8")
 
 
 def _loaded(model: Path) -> tuple[Manifest, Network]:

@@ -9,7 +9,7 @@ table ``NAME.csv`` of each: clip, frame, time, ball, x, y, radius, in pixels of 
 
 import csv
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,6 +21,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from rollcast.ball_finding import Detect, Refine, find_balls, moving_balls
 from rollcast.camera import NETWORK_FRAME_SIZE
+from rollcast.markdown import header, row
 from rollcast.scene import MAX_BALLS
 from rollcast.trajectory import OBSERVED_FRAMES
 from rollcast.video import every_frame
@@ -104,17 +105,15 @@ def _paths(
     scale = NETWORK_FRAME_SIZE / side
     paths: dict[str, dict[int, tuple[float, float]]] = {}
     radii: dict[str, list[float]] = {}
-    with table.open(newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            frame = int(row["frame"])
-            if row["x"] in ("", "nan", "null") or (kept is not None and frame not in kept):
-                continue
-            x, y = float(row["x"]) - left, float(row["y"]) - top
-            if 0 <= x <= side and 0 <= y <= side:
-                number = frame if kept is None else kept[frame]
-                paths.setdefault(row["ball"], {})[number] = (scale * x, scale * y)
-            radii.setdefault(row["ball"], []).append(scale * float(row["radius"] or "nan"))
-    return paths, {ball: float(np.nanmedian(values)) for ball, values in radii.items()}
+    for ball, frame, place_x, place_y, radius in _hand_rows(table):
+        if kept is not None and frame not in kept:
+            continue
+        x, y = place_x - left, place_y - top
+        if 0 <= x <= side and 0 <= y <= side:
+            number = frame if kept is None else kept[frame]
+            paths.setdefault(ball, {})[number] = (scale * x, scale * y)
+        radii.setdefault(ball, []).append(scale * radius)
+    return paths, _medians(radii)
 
 
 def hand_tracks(
@@ -123,14 +122,23 @@ def hand_tracks(
     """Places of every ball by frame, and its median radius, pixels of the video."""
     paths: dict[str, dict[int, tuple[float, float]]] = {}
     radii: dict[str, list[float]] = {}
+    for ball, frame, x, y, radius in _hand_rows(table):
+        paths.setdefault(ball, {})[frame] = (x, y)
+        radii.setdefault(ball, []).append(radius)
+    return paths, _medians(radii)
+
+
+def _hand_rows(table: Path) -> Iterator[tuple[str, int, float, float, float]]:
+    """Yield ball, frame, x, y and radius of every ball that is seen in a frame."""
     with table.open(newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            if row["x"] in ("", "nan", "null"):
-                continue
-            place = (float(row["x"]), float(row["y"]))
-            paths.setdefault(row["ball"], {})[int(row["frame"])] = place
-            radii.setdefault(row["ball"], []).append(float(row["radius"] or "nan"))
-    return paths, {ball: float(np.nanmedian(values)) for ball, values in radii.items()}
+        for line in csv.DictReader(file):
+            if line["x"] not in ("", "nan", "null"):
+                radius = float(line["radius"] or "nan")
+                yield line["ball"], int(line["frame"]), float(line["x"]), float(line["y"]), radius
+
+
+def _medians(radii: Mapping[str, Sequence[float]]) -> dict[str, float]:
+    return {ball: float(np.nanmedian(values)) for ball, values in radii.items()}
 
 
 def _moves(path: Mapping[int, tuple[float, float]], start: int) -> bool:
@@ -208,19 +216,20 @@ def find(look: Look, windows: list[ClipWindow], *, prompted: bool) -> Found:
 def table(look: Look, clips: Path, tracks: Path) -> Iterator[str]:
     """Lines of a table, one for every clip."""
     setups = json.loads((tracks / "setup.json").read_text(encoding="utf-8"))
-    yield "| clip | windows | found, % | displacement, px: median / mean | with a prompt | |"
-    yield "|---|---|---|---|---|---|"
+    yield header(
+        ["clip", "windows", "found, %", "displacement, px: median / mean", "with a prompt", ""]
+    )
     shares: list[tuple[float, float]] = []
     for name, setup in setups.items():
         windows = clip_windows(clips, tracks, name, setup)
         alone, prompted = (find(look, windows, prompted=p) for p in (False, True))
         shares.append((alone.found.mean(), prompted.found.mean()))
-        yield f"| {name} | {len(windows)} | {_cells(alone)} | {_cells(prompted)} |"
+        yield row([name, len(windows), *_cells(alone), *_cells(prompted)])
     means = 100 * np.mean(shares, axis=0)
-    yield f"| mean of clips | | {means[0]:.0f} | | {means[1]:.0f} | |"
+    yield row(["mean of clips", "", f"{means[0]:.0f}", "", f"{means[1]:.0f}", ""])
 
 
-def _cells(found: Found) -> str:
+def _cells(found: Found) -> tuple[str, str]:
     errors = found.displacement_errors
     share = 100 * found.found.mean()
-    return f"{share:.0f} | {np.median(errors):.2f} / {errors.mean():.2f}"
+    return f"{share:.0f}", f"{np.median(errors):.2f} / {errors.mean():.2f}"

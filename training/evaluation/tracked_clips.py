@@ -20,10 +20,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from rollcast.markdown import header, row
 from rollcast.tracking.quality import Quality
 from rollcast.tracking.tracks import Tracks
 from training.evaluation.real_clips import hand_tracks
 
+HEAD = (
+    "clip", "frames", "repeated", "balls", "found, %", "by hand: ball", "within a radius, %",
+    "switches", "processor s per s", "of these the service", "MiB",
+)  # fmt: skip
 SUFFIXES = {".mp4", ".webm", ".mov", ".mkv", ".avi"}
 MIB = 2**20
 
@@ -96,9 +101,9 @@ def followed(tracks: Tracks, path: Mapping[int, tuple[float, float]], radius_px:
     """
     owners: list[int] = []
     for frame, place in sorted(path.items()):
-        row = max(0, int(np.searchsorted(tracks.frames, frame, side="right")) - 1)
+        shown = max(0, int(np.searchsorted(tracks.frames, frame, side="right")) - 1)
         apart: Float[np.ndarray, " balls"] = np.linalg.norm(
-            tracks.positions_px[row] - np.array(place), axis=-1
+            tracks.positions_px[shown] - np.array(place), axis=-1
         )
         apart = np.where(np.isnan(apart), np.inf, apart)
         owners.append(int(apart.argmin()) if apart.min() <= radius_px else -1)
@@ -111,38 +116,33 @@ def table(url: str, service: int, clips: Path, tracks: Path) -> Iterator[str]:
     """Lines of a table, one for every clip and ball that was tracked by hand."""
     setups: dict[str, Any] = json.loads((tracks / "setup.json").read_text(encoding="utf-8"))
     named = {setup["file"]: setup.get("tracks", name) for name, setup in setups.items()}
-    yield (
-        "| clip | frames | repeated | balls | found, % | by hand: ball | within a radius, % |"
-        " switches | processor s per s | of these the service | MiB |"
-    )
-    yield "|---|---|---|---|---|---|---|---|---|---|---|"
+    yield header(HEAD)
     for clip in sorted(clips.iterdir()):
         if clip.suffix.lower() not in SUFFIXES:
             continue
         made = run(url, service, clip)
         if isinstance(made, str):
-            yield f"| {clip.name} | {made} |" + " |" * 9
+            yield row([clip.name, made, *[""] * (len(HEAD) - 2)])
             continue
         quality = made.quality
-        start = (
-            f"| {clip.stem} | {quality.frames} | {quality.repeated} | {len(quality.balls)} | "
-            f"{100 * quality.found:.0f} |"
-        )
+        start = [
+            clip.stem, quality.frames, quality.repeated, len(quality.balls),
+            f"{100 * quality.found:.0f}",
+        ]  # fmt: skip
         seconds = quality.seconds
         cpu = made.client_cpu_s + made.service_cpu_s
-        end = (
-            f" {cpu / seconds:.2f} | {made.service_cpu_s / seconds:.2f} | "
-            f"{made.peak_memory_mib:.0f} |"
-        )
+        end = [
+            f"{cpu / seconds:.2f}", f"{made.service_cpu_s / seconds:.2f}",
+            f"{made.peak_memory_mib:.0f}",
+        ]  # fmt: skip
         if clip.name not in named:
-            yield f"{start} - | - | - |{end}"
+            yield row([*start, "-", "-", "-", *end])
             continue
         paths, radii = hand_tracks(tracks / f"{named[clip.name]}.csv")
         for ball, path in paths.items():
             it = followed(made.tracks, path, radii[ball])
-            yield f"{start} {ball} | {100 * it.share:.1f} | {it.switches} |{end}"
-            start = "| | | | | |"
-            end = " | | |"
+            yield row([*start, ball, f"{100 * it.share:.1f}", it.switches, *end])
+            start, end = [""] * len(start), [""] * len(end)
 
 
 def _cpu_s(process: int) -> float:
