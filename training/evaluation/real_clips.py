@@ -10,7 +10,6 @@ table ``NAME.csv`` of each: clip, frame, time, ball, x, y, radius, in pixels of 
 import csv
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,8 +52,7 @@ class ClipWindow(NamedTuple):
     radius: float
 
 
-@dataclass(frozen=True)
-class Found:
+class Found(NamedTuple):
     """What a model sees in a clip's windows, pixels of 128."""
 
     position_errors: Float[np.ndarray, " windows"]
@@ -219,14 +217,21 @@ def table(look: Look, clips: Path, tracks: Path) -> Iterator[str]:
     yield header(
         ["clip", "windows", "found, %", "displacement, px: median / mean", "with a prompt", ""]
     )
-    shares: list[tuple[float, float]] = []
+    measured: list[tuple[Found, Found]] = []
     for name, setup in setups.items():
         windows = clip_windows(clips, tracks, name, setup)
         alone, prompted = (find(look, windows, prompted=p) for p in (False, True))
-        shares.append((alone.found.mean(), prompted.found.mean()))
+        measured.append((alone, prompted))
         yield row([name, len(windows), *_cells(alone), *_cells(prompted)])
-    means = 100 * np.mean(shares, axis=0)
-    yield row(["mean of clips", "", f"{means[0]:.0f}", "", f"{means[1]:.0f}", ""])
+    ways = list(zip(*measured, strict=True))
+    shares = [100 * np.mean([one.found.mean() for one in way]) for way in ways]
+    yield row(["mean of clips", "", f"{shares[0]:.0f}", "", f"{shares[1]:.0f}", ""])
+    whole = [_together(way) for way in ways]
+    yield row(["all windows", len(whole[0].found), *_cells(whole[0]), *_cells(whole[1])])
+
+
+def _together(parts: Sequence[Found]) -> Found:
+    return Found(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
 def _cells(found: Found) -> tuple[str, str]:
