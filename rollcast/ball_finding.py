@@ -7,6 +7,7 @@ points of the letterboxed square (:mod:`rollcast.patches`), lengths its halves.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from math import ceil
+from typing import Any, Self, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -38,8 +39,17 @@ Refine = Callable[[Float[np.ndarray, "balls 4 3 32 32"], Sequence[str]], Arrays]
 (logits), ``log_sigmas`` [M, 2] and ``features`` [M, F]."""
 
 
+class _Rows:
+    """Arrays whose first axis is that of the balls; a base of dataclasses."""
+
+    def taken(self, index: np.ndarray) -> Self:
+        """Return some of the balls."""
+        names = [field.name for field in fields(cast("Any", self))]
+        return type(self)(*(getattr(self, name)[index] for name in names))
+
+
 @dataclass(frozen=True)
-class Balls:
+class Balls(_Rows):
     """Balls that were found, or asked for."""
 
     places: Float[np.ndarray, "balls 4 2"]
@@ -59,10 +69,6 @@ class Balls:
         """Count the balls."""
         return len(self.radii)
 
-    def taken(self, index: np.ndarray) -> "Balls":
-        """Return some of the balls."""
-        return Balls(*(getattr(self, field.name)[index] for field in fields(self)))
-
 
 def find_balls(
     detect: Detect,
@@ -73,6 +79,8 @@ def find_balls(
 ) -> tuple[Balls, Arrays]:
     """Find balls; return them, the surest first, and what the detector said besides.
 
+    ``square`` [4, 128, 128, 3] is what the detector read.
+
     Parameters
     ----------
     prompts
@@ -81,7 +89,8 @@ def find_balls(
     radii
         Of the prompts, NaN where a radius is not known.
     """
-    said = detect(letterboxed(frames, NETWORK_FRAME_SIZE)[None])
+    square = letterboxed(frames, NETWORK_FRAME_SIZE)
+    said = {**detect(square[None]), "square": square}
     if prompts is None:
         scores = said["scores"][0]
         kept = scores > LEAST_SCORE
@@ -90,7 +99,7 @@ def find_balls(
             refine, frames, said["places"][0][kept], said["radii"][0][kept],
             scores[kept], said["moving"][0][kept],
         )  # fmt: skip
-        return balls.taken(_apart(balls)), said
+        return balls.taken(_distinct(balls.places[:, -1], balls.radii, balls.scores)), said
     voted = votes_at(said["votes"][0], prompts)
     known = voted["radii"] if radii is None else np.where(np.isnan(radii), voted["radii"], radii)
     places = voted["places"]
@@ -161,16 +170,12 @@ def _looked_at(
     )  # fmt: skip
 
 
-def _apart(balls: Balls) -> np.ndarray:
-    """Index of the balls, the surest first, without those that are others once more."""
-    return _distinct(balls.places[:, -1], balls.radii, balls.scores)
-
-
 def _distinct(
     last: Float[np.ndarray, "balls 2"],
     radii: Float[np.ndarray, " balls"],
     scores: Float[np.ndarray, " balls"],
 ) -> np.ndarray:
+    """Index of the balls, the surest first, without those that are others once more."""
     kept: list[int] = []
     for one in np.argsort(-scores, kind="stable").tolist():
         away = [
@@ -183,7 +188,7 @@ def _distinct(
 
 
 @dataclass(frozen=True)
-class Sightings:
+class Sightings(_Rows):
     """Balls that were seen in four frames, moving or not, in pixels of the frames."""
 
     paths: Float[np.ndarray, "balls 4 2"]
@@ -196,10 +201,6 @@ class Sightings:
     """How surely each is seen in the frames, 0..1; 1 of coarse ones."""
     refined: Bool[np.ndarray, " balls"]
     """Whether patches were cut; the others lie where the coarse detector saw them."""
-
-    def taken(self, index: np.ndarray) -> "Sightings":
-        """Return some of the balls."""
-        return Sightings(*(getattr(self, field.name)[index] for field in fields(self)))
 
 
 def sight_balls(

@@ -42,7 +42,7 @@ def kinematic_forecast(
     steps
         Steps to forecast.
     """
-    place, velocity = filtered(np.asarray(places, float))
+    place, velocity = _filtered(np.asarray(places, float))
     ahead = np.asarray(steps, float)
     positions = place[:, None] + ahead[:, None] * velocity[:, None]
     of_place, of_velocity = np.square(sigmas).T[:, :, None]
@@ -51,7 +51,7 @@ def kinematic_forecast(
     return KinematicForecast(positions, variances[..., None, None] * np.eye(2))
 
 
-def filtered(
+def _filtered(
     places: Float[np.ndarray, "N K 2"],
 ) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, "N 2"]]:
     """Return place and velocity at the last observed step."""

@@ -10,7 +10,6 @@ from rollcast.image_sequence import numbering_warnings
 from rollcast.manifest import Manifest
 from rollcast.ood import frame_stats
 from rollcast.outputs import FORECAST_OUTPUTS, STEP_OUTPUTS, OutputName, OutputSpec, Units
-from rollcast.patches import letterboxed
 from rollcast.rollout import Outputs, stacked
 from rollcast.scene import BallColor
 from rollcast.schemas import (
@@ -169,13 +168,13 @@ class _Forecast:
         """Find the balls in the frames as they were sent."""
         request = self.request
         frames = opened.decode_whole()
-        seen = frame_stats(letterboxed(frames, NETWORK_FRAME_SIZE))
-        self._limits = doubts(predictor, self._horizon, self._rate, seen)
         self._stages.begin("encode")
         self._size = (frames.shape[2], frames.shape[1])
         self._balls = balls = RequestBalls(
             predictor, frames, request.balls, self._number, self._horizon
         )
+        seen = frame_stats(balls.found.said["square"])
+        self._limits = doubts(predictor, self._horizon, self._rate, seen)
         source = predictor.manifest.covariance.source
         levels = balls.on_level_ground if request.model == AUTO_MODEL else [False] * balls.count
         told = zip(balls.colors, balls.scores, balls.seen, balls.warnings, levels, strict=True)

@@ -5,7 +5,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
-from rollcast.kinematics import filtered
+from rollcast.kinematics import kinematic_forecast
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.data.shards import Source, load_recordings, simulate_split
 
@@ -28,43 +28,41 @@ def fit_acceleration_ratio(scenes: int, workers: int) -> float:
     scenes
         Of tables with one, two and three balls each.
     """
-    errors, speeds = _errors_and_speeds(scenes, workers)
+    seen, truths = _windows(scenes, workers)
     found = minimize_scalar(
-        lambda ratio: _nll(ratio, errors, speeds), bounds=(0, LARGEST_RATIO), method="bounded"
+        lambda ratio: _nll(ratio, seen, truths), bounds=(0, LARGEST_RATIO), method="bounded"
     )
     return round(float(found.x), 3)
 
 
 def _nll(
-    ratio: float, errors: Float[np.ndarray, "balls steps"], speeds: Float[np.ndarray, " balls"]
+    ratio: float, seen: Float[np.ndarray, "balls 4 2"], truths: Float[np.ndarray, "balls steps 2"]
 ) -> float:
-    """Mean negative log likelihood of squared errors, without its constant."""
-    accelerations = (ratio * speeds)[:, None] ** 2
-    variances = PLACE_PX**2 + (VELOCITY_PX * STEPS) ** 2 + accelerations * STEPS**3 / 3
-    squared = errors / variances
+    """Mean negative log likelihood of the true places, without its constant."""
+    sigmas = np.tile([PLACE_PX, VELOCITY_PX], (len(seen), 1))
+    made = kinematic_forecast(seen, sigmas, ratio, STEPS)
+    variances = made.covariances[..., 0, 0]
+    squared = np.square(truths - made.positions).sum(axis=-1) / variances
     linear = 2 * OUTLIER * np.sqrt(np.maximum(squared, OUTLIER**2)) - OUTLIER**2
     robust = np.where(squared < OUTLIER**2, squared, linear)
     return float((np.log(variances) + robust / 2).mean())
 
 
-def _errors_and_speeds(
+def _windows(
     scenes: int, workers: int
-) -> tuple[Float[np.ndarray, "balls steps"], Float[np.ndarray, " balls"]]:
-    """Squared errors of straight lines through noisy places, and the speeds that were read."""
+) -> tuple[Float[np.ndarray, "balls 4 2"], Float[np.ndarray, "balls steps 2"]]:
+    """Return the noisy places of balls that are in view, and where they went."""
     generator = np.random.default_rng(SEED)
     camera = camera_for("table", NETWORK_FRAME_SIZE)
-    errors: list[np.ndarray] = []
-    speeds: list[np.ndarray] = []
+    seen: list[np.ndarray] = []
+    truths: list[np.ndarray] = []
     for objects in (1, 2, 3):
         shards = simulate_split(Source("table", objects), "validation", scenes, workers)
         for recording in load_recordings(shards):
             paths = camera.project(recording.trajectory.positions_m).swapaxes(0, 1)
             for start in generator.integers(LATEST_START, size=WINDOWS_A_SCENE):
-                seen = paths[:, start : start + OBSERVED_FRAMES]
-                place, velocity = filtered(seen + generator.normal(0, PLACE_PX, seen.shape))
-                truth = paths[:, start + FIRST_FORECAST_FRAME + STEPS]
-                line = place[:, None] + STEPS[:, None] * velocity[:, None]
-                shown = ((seen >= 0) & (seen <= NETWORK_FRAME_SIZE)).all(axis=(1, 2))
-                errors.append(np.square(truth - line).sum(axis=-1)[shown])
-                speeds.append(np.linalg.norm(velocity, axis=-1)[shown])
-    return np.concatenate(errors), np.concatenate(speeds)
+                places = paths[:, start : start + OBSERVED_FRAMES]
+                shown = ((places >= 0) & (places <= NETWORK_FRAME_SIZE)).all(axis=(1, 2))
+                seen.append((places + generator.normal(0, PLACE_PX, places.shape))[shown])
+                truths.append(paths[:, start + FIRST_FORECAST_FRAME + STEPS][shown])
+    return np.concatenate(seen), np.concatenate(truths)
