@@ -37,8 +37,6 @@ from rollcast.scene import (
 from rollcast.trajectory import OBSERVED_FRAMES
 
 API_VERSION = "1.0"
-FORMER_NUMBER = "objects"
-"""Former name of ``num_objects`` in forecasts, still read (decision 0147)."""
 AUTO_MODEL = "auto"
 REQUEST_ID_HEADER = "X-Request-ID"
 REPLICA_HEADER = "X-Rollcast-Replica"
@@ -101,6 +99,15 @@ class RequestBody(BaseModel):
     """Body of a request. Unknown fields, NaN, infinities and numbers as text are rejected."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def accepted_names(cls) -> frozenset[str]:
+        """Return the names of all fields, former ones included."""
+        names: set[str] = set(cls.model_fields)
+        for field in cls.model_fields.values():
+            if isinstance(field.validation_alias, AliasChoices):
+                names |= {str(choice) for choice in field.validation_alias.choices}
+        return frozenset(names)
 
 
 class ResponseBody(BaseModel):
@@ -189,7 +196,7 @@ class PredictRequest(RequestBody):
     """Number of steps, t = 0..horizon-1: 40 by default, with a final frame ``final_step`` + 1."""
     num_objects: Annotated[
         Annotated[Integer, Field(ge=1, le=MAX_BALLS)] | None,
-        Field(validation_alias=AliasChoices("num_objects", FORMER_NUMBER)),
+        Field(validation_alias=AliasChoices("num_objects", "objects")),  # decision 0147
     ] = None
     """Number of balls: by default the named model's, with "auto" one. A model for any number of
     balls follows, by default, those that move."""

@@ -1,21 +1,17 @@
 """One detection request answered: decode, choose, find. Nothing is rolled out."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from rollcast.ball_finding import Sightings
 from rollcast.rollout import Outputs
 from rollcast.schemas import DetectedBall, DetectRequest, DetectResponse, SeenBall
 from service.errors import InvalidValueError
-from service.http.image_decoding import Check, OpenedFrames
+from service.http.image_decoding import OpenedFrames
+from service.http.request_body import Parser
 from service.inference.ball_predictor import BallPredictor
 from service.inference.deadlines import CancellationToken
 from service.inference.scheduler import Decoding
 from service.serving.registry import ModelQuery, Registry
-
-Parser = Callable[[Check], tuple[DetectRequest, list[str]]]
-"""Returns the request and the names of its files."""
 
 
 class Detection:
@@ -29,7 +25,9 @@ class Detection:
         Ends the work on a request whose answer is not needed any more.
     """
 
-    def __init__(self, parse: Parser, token: CancellationToken, registry: Registry) -> None:
+    def __init__(
+        self, parse: Parser[DetectRequest], token: CancellationToken, registry: Registry
+    ) -> None:
         self._parse = parse
         self._token = token
         self._registry = registry

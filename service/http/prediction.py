@@ -31,6 +31,7 @@ from rollcast.schemas import (
 from service.errors import InvalidValueError
 from service.http.found_balls import RequestBalls
 from service.http.image_decoding import Check, OpenedFrames
+from service.http.request_body import Parser
 from service.inference.ball_predictor import BallPredictor
 from service.inference.deadlines import CancellationToken
 from service.inference.rollout import CovarianceFloor, Forecast, Predictor, assemble, place_sigmas
@@ -39,9 +40,6 @@ from service.observability.metrics import Metrics
 from service.observability.tracing import Stages
 from service.serving.forecast_warnings import doubts, left_frame, lost_ball, replaced, unfamiliar
 from service.serving.registry import ModelQuery, Registry
-
-Parser = Callable[[Check], tuple[PredictRequest, list[str]]]
-"""Returns the request and the names of its files, as far as they are given."""
 
 
 class BallDetails(NamedTuple):
@@ -71,7 +69,11 @@ class _Forecast:
     manifest: Manifest
 
     def __init__(
-        self, parse: Parser, token: CancellationToken, registry: Registry, metrics: Metrics
+        self,
+        parse: Parser[PredictRequest],
+        token: CancellationToken,
+        registry: Registry,
+        metrics: Metrics,
     ) -> None:
         self._parse = parse
         self._token = token
@@ -284,7 +286,11 @@ class WholeForecast(_Forecast):
     """A forecast that is answered when all its steps are there, as JSON."""
 
     def __init__(
-        self, parse: Parser, token: CancellationToken, registry: Registry, metrics: Metrics
+        self,
+        parse: Parser[PredictRequest],
+        token: CancellationToken,
+        registry: Registry,
+        metrics: Metrics,
     ) -> None:
         super().__init__(parse, token, registry, metrics)
         self._steps: list[Outputs] = []
@@ -327,7 +333,7 @@ class StreamedForecast(_Forecast):
 
     def __init__(
         self,
-        parse: Parser,
+        parse: Parser[PredictRequest],
         token: CancellationToken,
         registry: Registry,
         metrics: Metrics,

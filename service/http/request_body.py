@@ -9,7 +9,7 @@ import asyncio
 import gc
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from fastapi import Request
 from pydantic import BaseModel, ValidationError
@@ -18,7 +18,7 @@ from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import ClientDisconnect
 
-from rollcast.schemas import FORMER_NUMBER
+from rollcast.schemas import RequestBody
 from service.errors import (
     BodyTooLargeError,
     BodyTooSlowError,
@@ -47,6 +47,10 @@ PIECE_BYTES = 64 * 1024
 """Bytes of a form that are parsed before its parser may be interrupted."""
 
 B = TypeVar("B", bound=BaseModel)
+R = TypeVar("R", bound=RequestBody)
+Parser: TypeAlias = Callable[[Callable[[], None]], tuple[R, list[str]]]
+"""Parses a body with frames; returns the request and the names of its files, as far as they are
+given. It calls its argument now and then, to be interrupted."""
 Body = bytes | bytearray
 
 
@@ -176,9 +180,7 @@ def parse_json(body: Body, model: type[B], max_values: int = MAX_VALUES) -> B:
     return _validate(model, data, strict=None)
 
 
-def parser_of(
-    model: type[B], kind: str, body: Body, request: Request
-) -> Callable[[Callable[[], None]], tuple[B, list[str]]]:
+def parser_of(model: type[R], kind: str, body: Body, request: Request) -> Parser[R]:
     """Return the parser of a body with frames, which runs in a worker thread."""
     if kind == JSON:
         return lambda _: (parse_json(body, model), [])
@@ -191,12 +193,12 @@ def parser_of(
 def parse_form(
     body: Body,
     content_type: str,
-    model: type[B],
+    model: type[R],
     *,
     files: frozenset[str],
     lists: frozenset[str],
     check: Callable[[], None],
-) -> tuple[B, list[str]]:
+) -> tuple[R, list[str]]:
     """Parse and validate a multipart body; text parts become numbers where a number is due.
 
     Parameters
@@ -228,7 +230,7 @@ def parse_form(
     boundary = options.get(b"boundary")
     if not boundary:
         raise MalformedBodyError("The content type of a multipart body needs a boundary.")
-    form = _Form(frozenset(model.model_fields) | {FORMER_NUMBER}, files, lists)
+    form = _Form(model.accepted_names(), files, lists)
     try:
         parser = MultipartParser(
             boundary,

@@ -1,21 +1,14 @@
 """``POST /detect``: four frames in, the balls that are seen in them out."""
 
-from concurrent.futures import Future
-
 from fastapi import APIRouter, Request, Response
 
 from rollcast.schemas import DetectRequest, DetectResponse
 from service.http.detection import Detection
 from service.http.openapi import body_of
-from service.http.request_body import JSON, MULTIPART, media_type, parser_of, received
-from service.http.routes.predict import PROBLEMS
-from service.inference.deadlines import (
-    CLIENT_CLOSED_REQUEST,
-    CancellationToken,
-    ClientGoneError,
-    answered,
-    timeout_s,
-)
+from service.http.request_body import JSON, MULTIPART, Parser
+from service.http.routes.predict import PROBLEMS, answer_frames
+from service.inference.deadlines import CancellationToken
+from service.inference.scheduler import Job
 from service.state import ServiceState
 
 router = APIRouter(tags=["forecast"])
@@ -32,16 +25,8 @@ async def detect(request: Request, service: ServiceState) -> Response:
 
     Pictures that are wider than high, or the reverse, are looked at in several squares.
     """
-    service.require_serving()
-    kind = media_type(request, (JSON, MULTIPART))
-    try:
-        async with received(request) as body:
-            parse = parser_of(DetectRequest, kind, body, request)
 
-            def submit(token: CancellationToken) -> Future[str]:
-                return service.inference.submit(Detection(parse, token, service.registry), token)
+    def detection(parse: Parser[DetectRequest], token: CancellationToken) -> Job[str]:
+        return Detection(parse, token, service.registry)
 
-            content = await answered(request, timeout_s(request, service.settings), submit)
-    except ClientGoneError:
-        return Response(status_code=CLIENT_CLOSED_REQUEST)
-    return Response(content, media_type=JSON)
+    return await answer_frames(request, service, DetectRequest, detection)

@@ -14,6 +14,8 @@ from service.http.problem_details import document
 from service.http.request_body import (
     JSON,
     MULTIPART,
+    Parser,
+    R,
     media_type,
     parser_of,
     received,
@@ -26,7 +28,8 @@ from service.inference.deadlines import (
     streamed,
     timeout_s,
 )
-from service.state import ServiceState
+from service.inference.scheduler import Job
+from service.state import ServiceState, State
 
 router = APIRouter(tags=["forecast"])
 
@@ -42,16 +45,37 @@ EVENTS = "text/event-stream"
 )
 async def predict(request: Request, service: ServiceState) -> Response:
     """Forecast where the balls of four frames go, with angular velocities and covariances."""
+
+    def forecast(parse: Parser[PredictRequest], token: CancellationToken) -> Job[str]:
+        return WholeForecast(parse, token, service.registry, service.metrics)
+
+    return await answer_frames(request, service, PredictRequest, forecast)
+
+
+async def answer_frames(
+    request: Request,
+    service: State,
+    model: type[R],
+    job_of: Callable[[Parser[R], CancellationToken], Job[str]],
+) -> Response:
+    """Answer a body with frames by a job of the scheduler.
+
+    Parameters
+    ----------
+    model
+        What the body describes.
+    job_of
+        Makes the job, whose answer is JSON, from the parser of the body.
+    """
     service.require_serving()
-
-    def submit(token: CancellationToken) -> Future[str]:
-        forecast = WholeForecast(parse, token, service.registry, service.metrics)
-        return service.inference.submit(forecast, token)
-
     kind = media_type(request, (JSON, MULTIPART))
     try:
         async with received(request) as body:
-            parse = parser_of(PredictRequest, kind, body, request)
+            parse = parser_of(model, kind, body, request)
+
+            def submit(token: CancellationToken) -> Future[str]:
+                return service.inference.submit(job_of(parse, token), token)
+
             content = await answered(request, timeout_s(request, service.settings), submit)
     except ClientGoneError:
         return Response(status_code=CLIENT_CLOSED_REQUEST)
