@@ -13,7 +13,6 @@ Generating needs the extra ``simulation``, files the extra ``datasets``. The for
 ``docs/guide/datasets.md``.
 """
 
-import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -23,11 +22,11 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, UInt8
-from PIL import Image
 from pyarrow import parquet
 
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.errors import DatasetError
+from rollcast.frames import as_frame, encode_png
 from rollcast.scene import Scenario, Scene
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES, Trajectory
 
@@ -55,6 +54,8 @@ COLUMNS = pa.schema(
 )  # fmt: skip
 """Frames are PNG files, in the form that Hugging Face's ``datasets`` reads as images."""
 ROWS_WRITTEN_TOGETHER = 32
+COMPRESS_LEVEL = 6
+"""Of the PNG files: they are written once and read often."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ class SceneDataset(Sequence[SceneRecord]):
     def frames(self, index: int, start: int, stop: int) -> UInt8[np.ndarray, "F size size 3"]:
         """Decode some frames of a scene that was rendered."""
         stored = self._table["frames"][range(len(self))[index]].values.slice(start, stop - start)
-        return np.stack([_decoded(frame["bytes"].as_py()) for frame in stored])
+        return np.stack([as_frame(frame["bytes"].as_py()) for frame in stored])
 
     def _row(self, index: int) -> dict[str, Any]:
         """Return everything but the frames of a scene."""
@@ -358,7 +359,10 @@ def _row(sequence: "SimulatedSequence", image_size: int | None) -> dict[str, obj
     size = NETWORK_FRAME_SIZE if image_size is None else image_size
     frames = None
     if image_size is not None:
-        frames = [{"bytes": _png(frame), "path": None} for frame in sequence.render(image_size)]
+        frames = [
+            {"bytes": encode_png(frame, COMPRESS_LEVEL), "path": None}
+            for frame in sequence.render(image_size)
+        ]
     return {
         "scene": scene.model_dump_json(exclude_none=True),
         "start_step": sequence.start_step,
@@ -370,14 +374,3 @@ def _row(sequence: "SimulatedSequence", image_size: int | None) -> dict[str, obj
         "angular_velocities_rad_s": trajectory.angular_velocities_rad_s.tolist(),
         "frames": frames,
     }
-
-
-def _png(frame: UInt8[np.ndarray, "size size 3"]) -> bytes:
-    file = io.BytesIO()
-    Image.fromarray(frame).save(file, "PNG")
-    return file.getvalue()
-
-
-def _decoded(png: bytes) -> UInt8[np.ndarray, "size size 3"]:
-    with Image.open(io.BytesIO(png)) as image:
-        return np.asarray(image.convert("RGB"))

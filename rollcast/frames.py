@@ -127,6 +127,13 @@ def as_frame(picture: FrameLike, *, channels: Channels = "rgb") -> UInt8[np.ndar
     )
 
 
+def encode_png(picture: UInt8[np.ndarray, "H W 3"], compress_level: int = 1) -> bytes:
+    """Encode a picture as a PNG file; higher levels take several times as long."""
+    buffer = io.BytesIO()
+    Image.fromarray(picture).save(buffer, "PNG", compress_level=compress_level)
+    return buffer.getvalue()
+
+
 def to_rgb(image: Image.Image) -> Image.Image:
     """Convert a Pillow image of any mode to RGB by the rule of this module.
 

@@ -100,14 +100,14 @@ class RequestBody(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    @classmethod
-    def accepted_names(cls) -> frozenset[str]:
-        """Return the names of all fields, former ones included."""
-        names: set[str] = set(cls.model_fields)
-        for field in cls.model_fields.values():
-            if isinstance(field.validation_alias, AliasChoices):
-                names |= {str(choice) for choice in field.validation_alias.choices}
-        return frozenset(names)
+
+def accepted_names(model: type[RequestBody]) -> frozenset[str]:
+    """Return the names of all fields of a body, former ones included."""
+    names: set[str] = set(model.model_fields)
+    for field in model.model_fields.values():
+        if isinstance(field.validation_alias, AliasChoices):
+            names |= {str(choice) for choice in field.validation_alias.choices}
+    return frozenset(names)
 
 
 class ResponseBody(BaseModel):

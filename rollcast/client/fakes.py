@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw
 from pydantic import BaseModel, ValidationError
 
 from rollcast.camera import camera_for
+from rollcast.frames import encode_png
 from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS
 from rollcast.outputs import FORECAST_OUTPUTS, STEP_OUTPUTS, OutputName
 from rollcast.scene import COLORS, SCENARIOS, Scene
@@ -322,9 +323,7 @@ def _drawn(centres: Sequence[np.ndarray], side: int) -> str:
     for (x, y), color in zip(centres, COLORS, strict=False):
         reach = RADIUS * side
         draw.ellipse((x - reach, y - reach, x + reach, y + reach), color)
-    buffer = io.BytesIO()
-    image.save(buffer, "PNG", compress_level=1)
-    return base64.b64encode(buffer.getvalue()).decode()
+    return base64.b64encode(encode_png(np.asarray(image))).decode()
 
 
 def _ground(scene: Scene) -> SurfaceGrid:

@@ -1,15 +1,13 @@
 """Frames as a user has them become files that the service reads."""
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
-from PIL import Image
 
 from rollcast.footage import SquareCrop
-from rollcast.frames import END_OF_IMAGE, FrameLike, SupportsArray, as_frame, read_file
+from rollcast.frames import END_OF_IMAGE, FrameLike, SupportsArray, as_frame, encode_png, read_file
 
 Frame = FrameLike
 """Any input of ``rollcast.frames.as_frame``: an array or tensor, a Pillow image, a path, bytes or
@@ -62,9 +60,7 @@ def encoded(frame: Frame, crop: Crop | None) -> bytes:
         data = bytes(frame) if isinstance(frame, bytes | bytearray) else read_file(frame)
         if _is_read_by_the_service(data):
             return data
-    buffer = io.BytesIO()
-    Image.fromarray(pixels(frame, crop)).save(buffer, "PNG", compress_level=1)
-    return buffer.getvalue()
+    return encode_png(pixels(frame, crop))
 
 
 def pixels(frame: Frame, crop: Crop | None) -> np.ndarray:

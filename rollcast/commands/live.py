@@ -131,7 +131,7 @@ def live(
     failures: list[str] = []
     with ExitStack() as opened:
         service = opened.enter_context(client(context, url))
-        page = opened.enter_context(LivePage(port))
+        page = opened.enter_context(_page(port))
         typer.echo(f"Rollcast shows {source} on {page.address}", err=True)
         latest = LatestFrames(frames)
         shown_s = 0.0
@@ -153,6 +153,15 @@ def live(
         f"{1000 * median(delays_s):.0f} ms"
     )
     return Outcome(text, failures[:1])
+
+
+def _page(port: int) -> LivePage:
+    try:
+        return LivePage(port)
+    except OSError as error:
+        raise CommandError(
+            f"--port {port} is not free ({error.strerror}): choose another one, or 0 for a free one"
+        ) from error
 
 
 def _forecast(

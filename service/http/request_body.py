@@ -18,7 +18,7 @@ from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import ClientDisconnect
 
-from rollcast.schemas import RequestBody
+from rollcast.schemas import RequestBody, accepted_names
 from service.errors import (
     BodyTooLargeError,
     BodyTooSlowError,
@@ -230,7 +230,7 @@ def parse_form(
     boundary = options.get(b"boundary")
     if not boundary:
         raise MalformedBodyError("The content type of a multipart body needs a boundary.")
-    form = _Form(model.accepted_names(), files, lists)
+    form = _Form(accepted_names(model), files, lists)
     try:
         parser = MultipartParser(
             boundary,

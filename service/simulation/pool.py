@@ -6,7 +6,6 @@ threads, so it never lives in the process that serves.
 
 import base64
 import functools
-import io
 import math
 import multiprocessing
 import multiprocessing.connection
@@ -28,9 +27,9 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image
 
 from rollcast.camera import Camera, camera_for
+from rollcast.frames import encode_png
 from rollcast.scene import COLORS, Scene
 from rollcast.schemas import SimulatedObject, SimulateRequest, SimulateResponse, SurfaceGrid
 from rollcast.surfaces import surface_of
@@ -129,12 +128,7 @@ def _surface(scene: Scene, camera: Camera) -> SurfaceGrid:
 
 
 def _png_files(frames: UInt8[np.ndarray, "steps S S 3"]) -> list[str]:
-    files: list[str] = []
-    for frame in frames:
-        buffer = io.BytesIO()
-        Image.fromarray(frame).save(buffer, "PNG", compress_level=1)
-        files.append(base64.b64encode(buffer.getvalue()).decode("ascii"))
-    return files
+    return [base64.b64encode(encode_png(frame)).decode("ascii") for frame in frames]
 
 
 class RecycledProcess:

@@ -105,10 +105,8 @@ class BallWindowMaker:
         path = HALF + HALF * window.places.reshape(-1, 2)
         pose = visible_pose(draw_camera(generator), path, bounded=bowl)
         if pose != CameraPose():
-            beyond = np.broadcast_to(window.frames[-1, 0, 0], window.frames.shape[1:])
-            frames = posed_frames(
-                window.frames, pose, np.ascontiguousarray(beyond), mirrored=not bowl
-            )
+            beyond = window.frames[-1, 0, 0]
+            frames = posed_frames(window.frames, pose, beyond, mirrored=not bowl)
             window = self._posed(index, window._replace(frames=frames), pose)
         return filmed(generator, window)
 

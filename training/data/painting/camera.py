@@ -65,7 +65,7 @@ def unposed_points(
 def posed_frames(
     frames: UInt8[np.ndarray, "frames size size 3"],
     pose: CameraPose,
-    beyond: UInt8[np.ndarray, "size size 3"],
+    beyond: UInt8[np.ndarray, "*place 3"],
     *,
     mirrored: bool,
 ) -> UInt8[np.ndarray, "frames size size 3"]:
@@ -74,7 +74,7 @@ def posed_frames(
     Parameters
     ----------
     beyond
-        Seen where the paper's camera saw nothing.
+        Seen where the paper's camera saw nothing: a picture, or one colour.
     mirrored
         Whether the ground goes on there instead, mirrored at the border.
     """
@@ -82,8 +82,9 @@ def posed_frames(
     grid = np.stack(np.meshgrid(centres, centres), axis=-1)
     at = (unposed_points(grid, pose) - 0.5).astype(np.float32)
     border = cv2.BORDER_REFLECT_101 if mirrored else cv2.BORDER_TRANSPARENT
+    empty = np.broadcast_to(beyond, frames.shape[1:])
     return np.stack([
-        cv2.remap(frame, at[..., 0], at[..., 1], cv2.INTER_LINEAR, beyond.copy(), border)
+        cv2.remap(frame, at[..., 0], at[..., 1], cv2.INTER_LINEAR, empty.copy(), border)
         for frame in frames
     ])  # fmt: skip
 

@@ -292,8 +292,7 @@ def render_restyled(
     if moving:
         frames = np.stack([_with_clutter(f, moving, k) for k, f in enumerate(frames)])
     if appearance.camera != CameraPose():
-        corner = np.broadcast_to(materials.ground[0, 0], frames.shape[1:])
-        beyond = np.clip(255 * corner, 0, 255).astype(np.uint8, order="C")
+        beyond = np.clip(255 * materials.ground[0, 0], 0, 255).astype(np.uint8)
         mirrored = scene.axis_ratio is None
         frames = posed_frames(frames, appearance.camera, beyond, mirrored=mirrored)
     shake = np.asarray(appearance.sensor.shake)
