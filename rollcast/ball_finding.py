@@ -5,7 +5,7 @@ points of the letterboxed square (:mod:`rollcast.patches`), lengths its halves.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from math import ceil
 from typing import Any, Self, cast
 
@@ -28,6 +28,16 @@ LEAST_MOVING = 0.25
 """Product of the confidences that a ball is there and that it moves, from which on it moves."""
 LEAST_MOTION = 0.05
 """The same, from which on it may move."""
+SURELY_MOVING = 0.5
+"""The same, from which on no closer look is needed."""
+
+LEAST_WAY, WAY_ERROR = 0.3 / 64, 0.1 / 64
+"""Way over the seen frames from which on a ball moves, and its error, points of the square."""
+
+CLOSER = 0.55
+"""Side of the squares of a closer look, relative to the shorter side of the frames."""
+CLOSER_CONFIDENCE = 0.5
+"""Factor of scores there: false alarms are more frequent than in whole frames."""
 
 Arrays = Mapping[str, np.ndarray]
 Detect = Callable[[UInt8[np.ndarray, "1 4 128 128 3"]], Arrays]
@@ -44,8 +54,28 @@ class _Rows:
 
     def taken(self, index: np.ndarray) -> Self:
         """Return some of the balls."""
-        names = [field.name for field in fields(cast("Any", self))]
-        return type(self)(*(getattr(self, name)[index] for name in names))
+        return type(self)(*(values[index] for values in self._columns()))
+
+    def joined(self, other: Self) -> Self:
+        """Return these balls and others."""
+        columns = zip(self._columns(), other._columns(), strict=True)
+        return type(self)(*(np.concatenate(both) for both in columns))
+
+    def _columns(self) -> list[np.ndarray]:
+        return [getattr(self, field.name) for field in fields(cast("Any", self))]
+
+
+@dataclass(frozen=True)
+class Candidates(_Rows):
+    """Balls as the detector sees them, in points of the square."""
+
+    places: Float[np.ndarray, "balls 4 2"]
+    """In the seen frames."""
+    radii: Float[np.ndarray, " balls"]
+    scores: Float[np.ndarray, " balls"]
+    """Confidence that each is there, 0..1."""
+    moving: Float[np.ndarray, " balls"]
+    """Confidence that each moves, 0..1."""
 
 
 @dataclass(frozen=True)
@@ -95,10 +125,10 @@ def find_balls(
         scores = said["scores"][0]
         kept = scores > LEAST_SCORE
         kept[:1] = True
-        balls = _looked_at(
-            refine, frames, said["places"][0][kept], said["radii"][0][kept],
-            scores[kept], said["moving"][0][kept],
-        )  # fmt: skip
+        found = Candidates(*(said[field.name][0][kept] for field in fields(Candidates)))
+        balls = _looked_at(refine, frames, found)
+        if not (balls.scores * balls.moving > SURELY_MOVING).any():
+            balls = _closer_look(detect, refine, frames, balls)
         return balls.taken(_distinct(balls.places[:, -1], balls.radii, balls.scores)), said
     voted = votes_at(said["votes"][0], prompts)
     known = voted["radii"] if radii is None else np.where(np.isnan(radii), voted["radii"], radii)
@@ -107,8 +137,28 @@ def find_balls(
     off = np.linalg.norm(places[:, -1] - prompts, axis=-1)
     stays = off > np.maximum(known, 3 / 64)
     places[stays, -1] = prompts[stays]
-    balls = _looked_at(refine, frames, places, known, np.ones(len(known)), voted["moving"])
-    return balls, said
+    found = Candidates(places, known, np.ones(len(known)), voted["moving"])
+    return _looked_at(refine, frames, found), said
+
+
+def _closer_look(
+    detect: Detect, refine: Refine, frames: UInt8[np.ndarray, "4 height width 3"], balls: Balls
+) -> Balls:
+    """Add the balls that the detector finds in squares of half the size.
+
+    Small balls are larger there. Frames with nothing more to show than the detector has seen are
+    not looked at again.
+    """
+    side = round(CLOSER * min(frames.shape[1:3]))
+    if side < NETWORK_FRAME_SIZE:
+        return balls
+    found = _in_squares(detect, frames, side)
+    found = found.taken(found.scores > LEAST_SCORE)
+    if not len(found.radii):
+        return balls
+    more = _looked_at(refine, frames, found)
+    more = more.taken(more.scores * more.moving > SURELY_MOVING)
+    return balls.joined(replace(more, scores=CLOSER_CONFIDENCE * more.scores))
 
 
 def by_motion(balls: Balls) -> np.ndarray:
@@ -146,14 +196,9 @@ def votes_at(
     }
 
 
-def _looked_at(
-    refine: Refine,
-    frames: np.ndarray,
-    places: np.ndarray,
-    radii: np.ndarray,
-    scores: np.ndarray,
-    moving: np.ndarray,
-) -> Balls:
+def _looked_at(refine: Refine, frames: np.ndarray, found: Candidates) -> Balls:
+    """Refine candidates in patches of the frames."""
+    places, radii = found.places, found.radii
     for _ in range(PASSES - 1):
         widths = half_widths(radii)
         seen = refine(cut_patches(frames, places, widths), ("offsets", "log_radius"))
@@ -163,11 +208,18 @@ def _looked_at(
     seen = refine(cut_patches(frames, places, widths), REFINER_OUTPUTS)
     places = places + widths[:, None, None] * seen["offsets"]
     radii = widths * np.exp(seen["log_radius"])
-    visible = 1 / (1 + np.exp(-seen["visible"]))
+    visible = _sigmoid(seen["visible"])
+    # Motion is measured more exactly in patches than the detector sees it.
+    way = np.linalg.norm(places - places[:, -1:], axis=-1).max(axis=-1)
+    moving = found.moving * _sigmoid((way - LEAST_WAY) / WAY_ERROR)
     return Balls(
-        places, radii, scores * visible[:, -1], moving, visible,
+        places, radii, found.scores * visible[:, -1], moving, visible,
         seen["log_sigmas"] + np.log(widths)[:, None], seen["features"],
     )  # fmt: skip
+
+
+def _sigmoid(logits: np.ndarray) -> np.ndarray:
+    return 1 / (1 + np.exp(-np.clip(logits, -30, 30)))
 
 
 def _distinct(
@@ -222,33 +274,45 @@ def sight_balls(
     refine_still
         Whether balls that hardly move are looked at closer too.
     """
-    corners = _square_corners(*frames.shape[1:3])
     side = min(frames.shape[1:3])
-    parts = [frames[:, y : y + side, x : x + side] for x, y in corners]
-    said = detect(np.stack([letterboxed(part, NETWORK_FRAME_SIZE) for part in parts]))
-    seen: list[Sightings] = []
-    for index, (part, corner) in enumerate(zip(parts, corners, strict=True)):
-        one = {name: said[name][index] for name in ("places", "radii", "scores", "moving")}
-        kept = one["scores"] > least_score
-        one = {name: values[kept] for name, values in one.items()}
-        closer = refine_still | (one["scores"] * one["moving"] > LEAST_MOTION)
-        places, radii, scores = one["places"], one["radii"], one["scores"]
-        visible = np.ones(places.shape[:2], np.float32)
-        if closer.any():
-            balls = _looked_at(refine, part, *(one[name][closer] for name in one))
-            places[closer], radii[closer], scores[closer] = balls.places, balls.radii, balls.scores
-            visible[closer] = balls.visible
-        paths = Letterbox(side, side).pixels(places) + np.array(corner)
-        seen.append(Sightings(paths, radii * side / 2, scores, one["moving"], visible, closer))
+    found = _in_squares(detect, frames, side)
+    found = found.taken(found.scores > least_score)
+    box = Letterbox(*frames.shape[1:3])
+    visible = np.ones(found.places.shape[:2], np.float32)
+    closer = refine_still | (found.scores * found.moving > LEAST_MOTION)
+    if closer.any():
+        balls = _looked_at(refine, frames, found.taken(closer))
+        for values, refined in (
+            (found.places, balls.places), (found.radii, balls.radii),
+            (found.scores, balls.scores), (found.moving, balls.moving), (visible, balls.visible),
+        ):  # fmt: skip
+            values[closer] = refined
     every = Sightings(
-        *(np.concatenate([getattr(one, field.name) for one in seen]) for field in fields(Sightings))
-    )
+        box.pixels(found.places), found.radii * box.side / 2, found.scores, found.moving, visible,
+        closer,
+    )  # fmt: skip
     return every.taken(_distinct(every.paths[:, -1], every.radii, every.scores))
 
 
-def _square_corners(height: int, width: int) -> list[tuple[int, int]]:
-    """Left and top of the fewest squares, overlapping by at least a tenth, that cover a frame."""
-    side, longest = min(height, width), max(height, width)
-    count = 1 if side == longest else ceil((longest - side) / (0.9 * side)) + 1
-    starts = np.linspace(0, longest - side, count).round().astype(int).tolist()
-    return [(start, 0) if width >= height else (0, start) for start in starts]
+def _in_squares(
+    detect: Detect, frames: UInt8[np.ndarray, "4 height width 3"], side: int
+) -> Candidates:
+    """Run the detector on overlapping squares that cover the frames."""
+    rows, columns = (_starts(length, side) for length in frames.shape[1:3])
+    corners = np.array([(x, y) for y in rows for x in columns])
+    parts = [frames[:, y : y + side, x : x + side] for x, y in corners]
+    said = detect(np.stack([letterboxed(part, NETWORK_FRAME_SIZE) for part in parts]))
+    box = Letterbox(*frames.shape[1:3])
+    pixels = Letterbox(side, side).pixels(said["places"]) + corners[:, None, None]
+    return Candidates(
+        box.points(pixels).reshape(-1, *pixels.shape[2:]),
+        (said["radii"] * (side / box.side)).reshape(-1),
+        said["scores"].reshape(-1).copy(),
+        said["moving"].reshape(-1).copy(),
+    )
+
+
+def _starts(length: int, side: int) -> list[int]:
+    """Return the starts of the fewest sides, overlapping by a tenth, that cover a length."""
+    count = 1 if side >= length else ceil((length - side) / (0.9 * side)) + 1
+    return np.linspace(0, max(length - side, 0), count).round().astype(int).tolist()

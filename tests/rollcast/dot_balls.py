@@ -8,20 +8,25 @@ RADIUS = 4 / 64
 
 def detect(frames: np.ndarray) -> dict[str, np.ndarray]:
     """Every cell votes for its own place and is as sure as it is bright."""
-    cells = frames[0, -1, ..., 0].reshape(CELLS, 4, CELLS, 4).mean(axis=(1, 3)) / 255
+    said = [_detect(each) for each in frames]
+    return {name: np.stack([one[name] for one in said]) for name in said[0]}
+
+
+def _detect(frames: np.ndarray) -> dict[str, np.ndarray]:
+    cells = frames[-1, ..., 0].reshape(CELLS, 4, CELLS, 4).mean(axis=(1, 3)) / 255
     along = (np.arange(CELLS) + 0.5) * (2 / CELLS) - 1
     x, y = np.meshgrid(along, along)
     order = np.argsort(-cells, axis=None)[:16]
     places = np.stack([np.stack([x, y], axis=-1).reshape(-1, 2)[order]] * 4, axis=1)
     votes = np.stack([x, y] * 4 + [np.full_like(x, np.log(RADIUS)), cells, np.ones_like(x)])
     return {
-        "places": places[None],
-        "radii": np.full((1, 16), RADIUS),
-        "scores": cells.reshape(-1)[order][None],
-        "moving": np.ones((1, 16)),
-        "votes": votes[None],
-        "ground": np.zeros((1, 3, CELLS, CELLS)),
-        "scene": np.zeros((1, 2)),
+        "places": places,
+        "radii": np.full(16, RADIUS),
+        "scores": cells.reshape(-1)[order],
+        "moving": np.ones(16),
+        "votes": votes,
+        "ground": np.zeros((3, CELLS, CELLS)),
+        "scene": np.zeros(2),
     }
 
 

@@ -2,17 +2,19 @@
 
 import numpy as np
 
-from rollcast.ball_finding import find_balls, votes_at
+from rollcast.ball_finding import find_balls, moving_balls, votes_at
 from rollcast.patches import Letterbox
 from tests.rollcast import dot_balls
 from tests.rollcast.dot_balls import CELLS, detect
 
 
-def frames_of(paths: np.ndarray, height: int, width: int) -> np.ndarray:
+def frames_of(
+    paths: np.ndarray, height: int, width: int, spread: float | None = None
+) -> np.ndarray:
     """Soft white dots [balls, 4, 2], pixels."""
     y, x = np.mgrid[:height, :width] + 0.5
     frames = np.zeros((4, height, width))
-    spread = max(height, width) / 64
+    spread = spread or max(height, width) / 64
     for path in paths:
         for frame, at in zip(frames, path, strict=True):
             frame += np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * spread**2))
@@ -36,6 +38,28 @@ def test_balls_are_found_once_each_in_frames_of_any_rectangle():
         seen = Letterbox(height, width).pixels(sure.places)
         order = np.argsort(seen[:, 0, 0])
         assert np.abs(seen[order] - paths).max() < 0.6 * max(height, width) / 128
+
+
+def test_balls_that_are_small_in_the_whole_frame_are_found_in_parts_of_it():
+    """The detector sees a dot of 6 px in 600 x 600 at a fifth of its brightness."""
+    path = np.array([431.0, 187.0]) + np.arange(4)[:, None] * np.array([9.0, -4.0])
+    whole = frames_of(path[None], 600, 600, spread=3.3)
+    balls, said = find_balls(detect, refine, whole)
+    assert said["scores"].max() < 0.3
+    first = balls.taken(moving_balls(balls, 1))
+    assert np.abs(Letterbox(600, 600).pixels(first.places[0]) - path).max() < 2
+    reduced = find_balls(detect, refine, whole[:, ::5, ::5])[0]
+    assert (reduced.scores < 0.3).all()  # nothing more to see
+
+
+def test_a_ball_that_rests_does_not_move_whatever_the_detector_says():
+    resting = np.array([[[40.0, 50]] * 4])
+    rolling = np.array([[90.0, 80]]) + np.arange(4)[:, None] * np.array([0.6, 0.2])
+    paths = np.concatenate([resting, rolling[None]])
+    balls, _ = find_balls(detect, refine, frames_of(paths, 128, 128))
+    at = 64 + 64 * balls.places[:, -1]
+    (moved,) = at[balls.scores * balls.moving > 0.25]
+    assert np.linalg.norm(moved - rolling[-1]) < 1
 
 
 def test_prompts_name_the_balls_and_their_order():
