@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from service.auth.api_keys import without_tokens
 from service.settings import (
+    CPU_PROVIDER,
     Settings,
     described,
     keep_products_on_one_thread,
@@ -82,6 +83,13 @@ def serve(
 
 
 def _serve(settings: Settings, listener: socket.socket) -> int:
+    if settings.execution_provider != CPU_PROVIDER:
+        from service.inference.onnx_runtime import check_provider
+
+        try:
+            check_provider(settings.execution_provider)
+        except ValueError as error:
+            raise _failure(str(error)) from error
     if settings.processes > 1:
         from service.process.supervisor import supervise
 
@@ -95,7 +103,7 @@ def _serve(settings: Settings, listener: socket.socket) -> int:
             raise _failure(f"no room for metrics in {folder}: {error.strerror}") from error
     from service.serving.loading import begin_loading
 
-    load = begin_loading(settings.models_dir)
+    load = begin_loading(settings.models_dir, settings.execution_provider)
     # The web framework takes as long as the models: they load meanwhile, on another core.
     from service.process.server import make_server
 

@@ -40,6 +40,7 @@ TRACE_RECEIVERS = {"OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_END
 """Variables of OpenTelemetry that say where traces go."""
 
 MEBI = 2**20
+CPU_PROVIDER = "CPUExecutionProvider"
 MODELS_PACKAGE = "rollcast_models"
 """The wheel of the committed models (``make wheels``)."""
 
@@ -147,6 +148,10 @@ class Settings(BaseSettings):
     inference_threads: Annotated[int, Field(ge=1)] = Field(default_factory=cpu_count)
     """Threads that compute forecasts, split evenly across processes, at least one in each; by
     default one per core that the service or its container may use."""
+    execution_provider: Annotated[str, Field(pattern=r"^\w+ExecutionProvider$")] = CPU_PROVIDER
+    """ONNX Runtime execution provider that computes the networks, such as `CUDAExecutionProvider`
+    of the package `onnxruntime-gpu`. Operators that it does not implement run on the CPU. The
+    service does not start without it."""
     inference_queue: Annotated[int, Field(ge=0)] = 64
     """Queue length beyond the forecasts being computed, split evenly across processes; further
     requests get 429."""

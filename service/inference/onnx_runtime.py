@@ -25,7 +25,7 @@ from rollcast.perception_io import run_perception
 from rollcast.rollout import Arrays, Step
 from service.inference.ball_predictor import BallPredictor
 from service.inference.rollout import Predictor
-from service.settings import keep_runtime_silent
+from service.settings import CPU_PROVIDER, keep_runtime_silent
 
 keep_runtime_silent()
 import onnxruntime  # noqa: E402
@@ -41,12 +41,15 @@ class _Eye:
     ----------
     path
         File of the graph.
+    provider
+        ONNX Runtime execution provider.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, provider: str) -> None:
         # Not the file: it may be another one when it is opened again.
         self._graph = path.read_bytes()
-        self._unhelped = self._helped = _session(self._graph, reuse=True)
+        self._provider = provider
+        self._unhelped = self._helped = _session(self._graph, provider, reuse=True)
         self._again = Lock()
 
     def session(self, two_cores: bool) -> onnxruntime.InferenceSession:
@@ -55,13 +58,15 @@ class _Eye:
             two_cores
             and self._graph
             and CORES_OF_AN_EYE > 1
+            and self._provider == CPU_PROVIDER
             and self._again.acquire(blocking=False)
         ):
             Thread(target=self._open_helped, name="opens an eye", daemon=True).start()
         return self._helped if two_cores else self._unhelped
 
     def _open_helped(self) -> None:
-        self._helped, self._graph = _session(self._graph, CORES_OF_AN_EYE, reuse=True), b""
+        helped = _session(self._graph, self._provider, CORES_OF_AN_EYE, reuse=True)
+        self._helped, self._graph = helped, b""
 
 
 _eyes: WeakValueDictionary[str, _Eye] = WeakValueDictionary()
@@ -79,18 +84,20 @@ class OnnxPredictor:
         ``models/NAME/VERSION``.
     manifest
         Its manifest, which names the graphs' tensors.
+    provider
+        ONNX Runtime execution provider of the sessions.
     """
 
-    def __init__(self, folder: Path, manifest: Manifest) -> None:
+    def __init__(self, folder: Path, manifest: Manifest, provider: str = CPU_PROVIDER) -> None:
         self.manifest = manifest
         known = manifest.unfamiliar is not None
         self.familiarity = Familiarity.read(folder / FAMILIARITY_FILE) if known else None
         eye = manifest.files.get(EYE_FILE)
-        self._eye = None if eye is None else _shared_eye(folder / EYE_FILE, eye)
+        self._eye = None if eye is None else _shared_eye(folder / EYE_FILE, eye, provider)
         # Behind an eye it is small sums, which optimising makes no faster; it takes half the load.
-        self._encoder = _session(folder / ENCODER_FILE, optimised=eye is None)
+        self._encoder = _session(folder / ENCODER_FILE, provider, optimised=eye is None)
         self._read = [one.name for one in self._encoder.get_inputs()]
-        self._step = _session(folder / STEP_FILE)
+        self._step = _session(folder / STEP_FILE, provider)
         self._state = [tensor.name for tensor in manifest.state]
         self._first = list(manifest.output_names)
         self._later = list(manifest.step_output_names)
@@ -119,26 +126,53 @@ class OnnxPredictor:
         )
 
 
-def open_predictor(folder: Path, manifest: Manifest) -> Predictor:
+def open_predictor(folder: Path, manifest: Manifest, provider: str = CPU_PROVIDER) -> Predictor:
     """Open the graphs of an artefact."""
     if manifest.max_objects is None:
-        return OnnxPredictor(folder, manifest)
-    return BallPredictor(folder, manifest, partial(_session, reuse=True))
+        return OnnxPredictor(folder, manifest, provider)
+    return BallPredictor(folder, manifest, partial(_session, provider=provider, reuse=True))
 
 
-def _shared_eye(path: Path, digest: str) -> _Eye:
+def check_provider(provider: str) -> None:
+    """Check that the installed ONNX Runtime has an execution provider.
+
+    Raises
+    ------
+    ValueError
+        If it does not; the message names those that it has.
+    """
+    installed = onnxruntime.get_available_providers()
+    if provider not in installed:
+        raise ValueError(
+            f"execution_provider: {provider} is not in the installed ONNX Runtime, which has "
+            f"{', '.join(installed)}. GPUs need the package onnxruntime-gpu instead of onnxruntime"
+        )
+
+
+def _shared_eye(path: Path, digest: str, provider: str) -> _Eye:
     """Open an eye, unless one with the same sha256 is open."""
     with _opening:
         eye = _eyes.get(digest)
         if eye is None:
-            eye = _eyes[digest] = _Eye(path)
+            eye = _eyes[digest] = _Eye(path, provider)
         return eye
 
 
 def _session(
-    graph: Path | bytes, threads: int = 1, *, optimised: bool = True, reuse: bool = False
+    graph: Path | bytes,
+    provider: str,
+    threads: int = 1,
+    *,
+    optimised: bool = True,
+    reuse: bool = False,
 ) -> onnxruntime.InferenceSession:
-    """Open a graph on threads that never spin between runs: cores belong to other requests."""
+    """Open a graph on threads that never spin between runs: cores belong to other requests.
+
+    Raises
+    ------
+    RuntimeError
+        If the execution provider does not start, for example without a GPU.
+    """
     options = onnxruntime.SessionOptions()
     if not optimised:
         options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
@@ -153,4 +187,8 @@ def _session(
     options.add_session_config_entry("session.force_spinning_stop", "1")
     # An arena for every session would keep the most that its largest batch ever needed.
     options.enable_cpu_mem_arena = False
-    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    providers = list(dict.fromkeys((provider, CPU_PROVIDER)))
+    session = onnxruntime.InferenceSession(graph, options, providers=providers)
+    if provider not in session.get_providers():  # ONNX Runtime falls back without an error
+        raise RuntimeError(f"{provider} does not start on this machine")
+    return session

@@ -83,7 +83,7 @@ class Worker(Process):
         # Imported here because the supervisor needs neither ONNX Runtime nor the app.
         from service.serving.loading import begin_loading
 
-        load = begin_loading(self._settings.models_dir)
+        load = begin_loading(self._settings.models_dir, self._settings.execution_provider)
         from service.process.server import make_server
 
         self._server = make_server(

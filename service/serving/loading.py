@@ -27,6 +27,7 @@ from rollcast.rollout import roll_out
 from service.inference.onnx_runtime import open_predictor as open_graphs
 from service.inference.rollout import Predictor
 from service.serving.registry import Model, Registry
+from service.settings import CPU_PROVIDER
 
 PredictorFactory = Callable[[Path, Manifest], Predictor]
 
@@ -79,21 +80,27 @@ def model_names(models_dir: Path) -> set[str]:
     return {folder.parent.name for folder in _folders(models_dir)}
 
 
-def begin_loading(models_dir: Path) -> Loader:
+def begin_loading(models_dir: Path, provider: str = CPU_PROVIDER) -> Loader:
     """Begin to load the models of a folder in a thread; return a loader that hands them over.
 
     Its later calls load anew.
+
+    Parameters
+    ----------
+    provider
+        ONNX Runtime execution provider.
     """
+    open_predictor = partial(open_graphs, provider=provider)
     begun: list[Future[Registry]] = [Future()]
 
     def fulfil(future: Future[Registry]) -> None:
         try:
-            future.set_result(load_registry(models_dir))
+            future.set_result(load_registry(models_dir, open_predictor=open_predictor))
         except BaseException as error:  # is raised where the models are asked for
             future.set_exception(error)
 
     def load(models_dir: Path, name: str | None = None) -> Registry:
-        return begun.pop().result() if begun else load_registry(models_dir, name)
+        return begun.pop().result() if begun else load_registry(models_dir, name, open_predictor)
 
     # A process that is stopped meanwhile need not wait for it.
     Thread(target=fulfil, args=begun, name="loading", daemon=True).start()

@@ -111,6 +111,24 @@ def test_a_port_in_use_gives_one_clear_line(address):
     )
 
 
+def test_a_missing_execution_provider_gives_one_clear_line():
+    provider = {"ROLLCAST_EXECUTION_PROVIDER": "CUDAExecutionProvider"}
+    ended = subprocess.run(
+        [sys.executable, "-m", "service", "--port", "0"],
+        cwd=ROOT,
+        env={"PATH": "/usr/bin:/bin", **provider},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ended.returncode == 1
+    assert "Traceback" not in ended.stderr
+    assert ended.stderr.startswith(
+        "rollcast: execution_provider: CUDAExecutionProvider is not in the installed ONNX Runtime"
+    )
+
+
 def test_products_stay_on_one_thread():
     """OpenBLAS makes a thread for every core when NumPy is imported, unless it is told before."""
     program = (

@@ -9,6 +9,7 @@ from typing import Annotated, NoReturn, TypeAlias, TypeVar
 
 import typer
 
+from training.common.devices import chosen_device
 from training.data.clip_dataset import Clips
 from training.data.splits import Split
 from training.recipes import RECIPES
@@ -20,6 +21,25 @@ Names = TypeVar("Names", str, list[str] | None)
 
 Workers: TypeAlias = Annotated[int, typer.Option(min=1, help="processes that simulate scenes")]
 TestScenes: TypeAlias = Annotated[int, typer.Option(min=1, help="test scenes per scenario")]
+
+
+def existing_device(name: str) -> str:
+    """Return the name of a device, or refuse one that this torch does not have."""
+    try:
+        chosen_device(name)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+    return name
+
+
+Device: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        callback=existing_device,
+        metavar="DEVICE",
+        help="device of torch: cpu, cuda, cuda:1, ...; auto is a GPU if there is one",
+    ),
+]
 
 
 def one_of(names: Iterable[str]) -> Callable[[Names], Names]:

@@ -18,6 +18,7 @@ from training.cli.options import (
     MODELS,
     Balls,
     Data,
+    Device,
     RecipeName,
     TestScenes,
     Workers,
@@ -89,6 +90,7 @@ def train(
         int, typer.Option(min=1, metavar="BATCHES")
     ] = TrainerConfig.validate_every,
     workers: Workers = CORES,
+    device: Device = "auto",
     ray: Annotated[
         str | None, ray_option("train in several processes, each with a part of every batch")
     ] = None,
@@ -97,7 +99,7 @@ def train(
     """Train a recipe. See HELP."""
     folder = runs_folder() / recipe
     initial = [one for start in init or () for one in initial_networks(start)]
-    config = TrainerConfig(validate_every, simulators=workers)
+    config = TrainerConfig(validate_every, simulators=workers, device=device)
     image_weights = imagenet and imagenet.resolve()
     clips = footage.clips_of(recipe, data, balls)
     chosen = within(recipe_of(recipe), sequences, scenes)
@@ -156,6 +158,7 @@ def dry_run(
     data: Data = None,
     balls: Balls = None,
     workers: Workers = CORES,
+    device: Device = "auto",
 ) -> None:
     """Train for a few batches, keep nothing, and state the speed against the machine's peak."""
     clips = footage.clips_of(recipe, data, balls)
@@ -163,7 +166,8 @@ def dry_run(
     if batch_size is not None:
         chosen = replace(chosen, batch_size=batch_size)
     with TemporaryDirectory() as folder:
-        trainer = Trainer(chosen, Path(folder), TrainerConfig(simulators=workers), (), clips)
+        config = TrainerConfig(simulators=workers, device=device)
+        trainer = Trainer(chosen, Path(folder), config, (), clips)
         _begin_from_imagenet(trainer, imagenet)
         made = speed.dry_run(trainer, batches, trainer.device)
     if not all(math.isfinite(loss) for loss in made.losses):

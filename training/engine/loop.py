@@ -47,6 +47,8 @@ class TrainerConfig:
     """Processes that render training batches."""
     simulators: int = 1
     """Processes that simulate missing scenes."""
+    device: str = "auto"
+    """Device of torch that trains a recipe; "auto" is a GPU if there is one, otherwise the CPU."""
 
 
 @dataclass(frozen=True)

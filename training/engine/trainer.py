@@ -12,6 +12,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from training.common import distributed
+from training.common.devices import chosen_device
 from training.data.clip_dataset import Clips, ClipStream
 from training.data.feature_cache import read_windows, replayed
 from training.data.looks import other_looks
@@ -61,7 +62,7 @@ class Trainer(TrainingLoop[Batch]):
         torch.manual_seed(recipe.seed)
         self.recipe = recipe
         self._clips = clips
-        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self.device = chosen_device((config or TrainerConfig()).device)
         self.family = recipe.build()
         for trained in reversed(initial):
             members = self.family.networks()

@@ -15,7 +15,7 @@ from rollcast.manifest import (
     Manifest,
 )
 from service.inference import onnx_runtime
-from service.inference.onnx_runtime import OnnxPredictor
+from service.inference.onnx_runtime import OnnxPredictor, check_provider, open_predictor
 
 MODELS = Path(__file__).parents[3] / "models"
 
@@ -26,10 +26,10 @@ def opened(monkeypatch):
     names: list[str] = []
     open_session = onnx_runtime._session
 
-    def note(graph, threads=1, **options):
+    def note(graph, provider, threads=1, **options):
         if threads == 1:
             names.append(EYE_FILE if isinstance(graph, bytes) else graph.name)
-        return open_session(graph, threads, **options)
+        return open_session(graph, provider, threads, **options)
 
     monkeypatch.setattr(onnx_runtime, "_session", note)
     monkeypatch.setattr(onnx_runtime, "_eyes", WeakValueDictionary())
@@ -79,3 +79,28 @@ def test_an_eye_that_nobody_uses_is_let_go(opened):
     del other
     gc.collect()
     assert not onnx_runtime._eyes
+
+
+@pytest.mark.parametrize("name", ["fieldnet", "any-ball"])
+def test_sessions_use_the_execution_provider(name, monkeypatch):
+    """ONNX Runtime's CPU package has a second provider, which leaves all operators to the CPU."""
+    monkeypatch.setattr(onnx_runtime, "_eyes", WeakValueDictionary())
+    folder = MODELS / name / "1"
+    manifest = Manifest.read(folder / MANIFEST_FILE)
+    model = open_predictor(folder, manifest, "AzureExecutionProvider")
+    sessions = [part for part in vars(model).values() if hasattr(part, "get_providers")]
+    assert len(sessions) >= 2
+    for session in sessions:
+        assert session.get_providers() == ["AzureExecutionProvider", "CPUExecutionProvider"]
+
+
+def test_a_missing_execution_provider_is_refused_with_those_that_exist():
+    with pytest.raises(ValueError, match=r"CUDA.*has Azure.*, CPU.*onnxruntime-gpu"):
+        check_provider("CUDAExecutionProvider")
+    check_provider("CPUExecutionProvider")
+
+
+def test_a_provider_that_does_not_start_is_not_replaced_by_the_cpu():
+    step = MODELS / "fieldnet" / "1" / STEP_FILE
+    with pytest.raises((RuntimeError, ValueError), match="CUDAExecutionProvider"):
+        onnx_runtime._session(step, "CUDAExecutionProvider")

@@ -46,6 +46,8 @@ def test_every_recipe_has_a_line_in_the_help_of_train():
     [
         (["train", "nobody"], "'nobody' is not one of tiny, one-ball"),
         (["train", "tiny", "--sequences", "3"], "a batch of tiny has 32"),
+        (["train", "tiny", "--device", "gpu"], "every torch has the device cpu"),
+        (["dry-run", "tiny", "--device", "meta:x"], "every torch has the device cpu"),
         (["setup", "tiny", "--data", "x"], "'tiny' is not one of setup-one-ball"),
         (["study", "nobody"], "'nobody' is not one of long-term"),
         (["evaluate"], "pass one model"),
