@@ -1,11 +1,14 @@
 """Commands for the network that follows any number of balls."""
 
+from dataclasses import replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import torch
 import typer
+from torch.utils.data import DataLoader
 
 from rollcast.scene import Scenario
 from training.cli.options import CORES, MODELS, TestScenes, Workers, failed
@@ -16,6 +19,12 @@ from training.data.splits import Split
 from training.engine.ball_trainer import BallTrainer, BallTraining
 from training.engine.encounter_trainer import EncounterTraining, train_encounters
 from training.engine.loop import TrainingStoppedError
+from training.engine.motion_trainer import (
+    MOTION_PARTS,
+    MotionTraining,
+    read_windows,
+    train_motion,
+)
 from training.evaluation.any_ball import validation_errors
 from training.evaluation.evaluate import evaluation_sets
 from training.export.ball_artefact import Sets, TrainedBalls, export_balls
@@ -26,8 +35,8 @@ from training.recipes.any_ball import ANY_BALL_DATA, VALIDATION_DATA, ball_sourc
 
 RUN = "any-ball"
 """Folder of the run, and name of its network."""
-MOTION = "rolling.pt"
-"""Weights of the motion in the run's folder, once encounters are taught."""
+MOTION = "motion.pt"
+"""Weights of the states at t = 0 and of the motion in the run's folder, once they are trained."""
 VALIDATION_SCENES = 100
 """Scenes of each kind that fit the covariances of an export."""
 VALIDATION_WINDOWS = 120
@@ -46,32 +55,57 @@ HORIZON = 40
 Start: TypeAlias = Annotated[
     Path, typer.Option("--models", help="committed models whose weights the network starts from")
 ]
+Part = Literal["all", "detector", "refiner"]
+"""Parts of the perception that a training changes."""
+PARTS: dict[Part, BallTraining] = {
+    "all": BallTraining(0),
+    "detector": BallTraining(0, learning_rate=6e-4, looked_at=0.0, fresh_rate=1.0),
+    "refiner": BallTraining(
+        0,
+        learning_rate=6e-4,
+        looked_at=3.0,
+        frozen=(*BallTraining.frozen, "eye.detector."),
+        fresh=("eye.refiner.outline.", "eye.refiner.outline_weighing."),
+        fresh_rate=2.0,
+    ),
+}
+LOOKS: dict[Part, BallLooks] = {
+    "all": BallLooks(),
+    "detector": BallLooks(),
+    "refiner": BallLooks(paper=0.25, filmed=0.2, restyled=0.25, planar=0.3),
+}
+MOTION_LOOKS = BallLooks(paper=0.45, filmed=0.2, restyled=0.25, planar=0.1)
 
 
 def add_to(app: typer.Typer) -> None:
     """Add the commands."""
     app.command("train-balls")(train_balls)
     app.command("train-encounters")(train_balls_to_collide)
+    app.command("train-ball-motion")(train_ball_motion)
     app.command("export-balls")(export)
 
 
 def train_balls(
     batches: Annotated[int, typer.Option(min=1, help="batches of 24 windows")] = 20_000,
+    part: Annotated[Part, typer.Option(help="part that is trained; the others stay")] = "all",
+    init: Annotated[
+        Path | None, typer.Option(metavar="RUN", help="run whose best weights it starts from")
+    ] = None,
     models: Start = MODELS,
     workers: Workers = CORES,
 ) -> None:
     """Train the perception of any number of balls; resumes a run that was stopped."""
-    training = BallTraining(batches)
+    training = replace(PARTS[part], batches=batches)
     sources = ball_sources(workers=workers)
     unseen = ball_sources(VALIDATION_DATA, "validation", workers)
     windows = validation_windows(unseen, VALIDATION_WINDOWS)
 
     def stream(first: int) -> BallStream:
-        looks, size = BallLooks(), training.batch_size
-        return BallStream(sources, looks, size, training.seed, first, REPEATS)
+        size = training.batch_size
+        return BallStream(sources, LOOKS[part], size, training.seed, first, REPEATS)
 
     trainer = BallTrainer(
-        any_ball_from(models),
+        any_ball_from(models) if init is None else _trained(init),
         training,
         runs_folder() / RUN,
         stream,
@@ -97,9 +131,28 @@ def train_balls_to_collide(
     for number, loss in enumerate(train_encounters(network, sources, training), start=1):
         if number % 100 == 0:
             typer.echo(f"{number} of {training.batches} batches: loss {loss:.3f}")
-    folder = runs_folder() / RUN
-    folder.mkdir(parents=True, exist_ok=True)
-    torch.save(network.rolling.state_dict(), folder / MOTION)
+    _write_motion(network)
+
+
+def train_ball_motion(
+    batches: Annotated[int, typer.Option(min=1, help="batches of 128 windows")] = 3000,
+    windows: Annotated[
+        int, typer.Option(min=24, help="windows that the perception reads")
+    ] = 24_000,
+    workers: Workers = CORES,
+) -> None:
+    """Train the states at t = 0 and the motion by trajectories, with the perception of the run."""
+    network = _trained(runs_folder() / RUN).eval()
+    training = MotionTraining(batches)
+    stream = BallStream(ball_sources(workers=workers), MOTION_LOOKS, 24, training.seed, 0)
+    loader = DataLoader(stream, batch_size=None, num_workers=1)
+    readings = read_windows(network, islice(loader, windows // 24), training.seed)
+    counts = {balls: len(part.radii) for balls, part in readings.items()}
+    typer.echo(f"windows by number of balls: {counts}")
+    for number, loss in enumerate(train_motion(network, readings, training), start=1):
+        if number % 100 == 0:
+            typer.echo(f"{number} of {training.batches} batches: loss {loss:.3f}")
+    _write_motion(network)
 
 
 def export(
@@ -111,6 +164,21 @@ def export(
 ) -> None:
     """Export the network for any number of balls and prove the export."""
     folder = runs_folder() / RUN
+    network = _trained(folder)
+    best = read_best(folder)
+    trained = TrainedBalls(
+        name, network, best["sequences"], HORIZON, best["scenes"], BallTraining.seed
+    )
+    target = models / name / str(version)
+    validation = _sets("validation", VALIDATION_SCENES, workers)
+    test = _sets("test", scenes, workers)
+    ratio = fit_acceleration_ratio(VALIDATION_SCENES, workers)
+    manifest = export_balls(trained, target, version, validation, test, ratio)
+    typer.echo(f"{manifest.label}: {manifest.validation_error_px:.2f} px, in {target}")
+
+
+def _trained(folder: Path) -> AnyBallNet:
+    """Return the network of a run, with its motion if that is trained."""
     try:
         best = read_best(folder)
     except FileNotFoundError:
@@ -122,22 +190,18 @@ def export(
     network.load_state_dict(best["weights"])
     motion = folder / MOTION
     if motion.exists():
-        network.rolling.load_state_dict(torch.load(motion, map_location="cpu", weights_only=True))
-    training = BallTraining(0)
-    trained = TrainedBalls(
-        name,
-        network,
-        best["sequences"],
-        HORIZON,
-        best["scenes"],
-        training.seed,
-    )
-    target = models / name / str(version)
-    validation = _sets("validation", VALIDATION_SCENES, workers)
-    test = _sets("test", scenes, workers)
-    ratio = fit_acceleration_ratio(VALIDATION_SCENES, workers)
-    manifest = export_balls(trained, target, version, validation, test, ratio)
-    typer.echo(f"{manifest.label}: {manifest.validation_error_px:.2f} px, in {target}")
+        weights = torch.load(motion, map_location="cpu", weights_only=True)
+        network.load_state_dict(network.state_dict() | weights)
+    return network
+
+
+def _write_motion(network: AnyBallNet) -> None:
+    folder = runs_folder() / RUN
+    folder.mkdir(parents=True, exist_ok=True)
+    weights = {
+        name: value for name, value in network.state_dict().items() if name.startswith(MOTION_PARTS)
+    }
+    torch.save(weights, folder / MOTION)
 
 
 def _sets(split: Split, scenes: int, workers: int) -> Sets:

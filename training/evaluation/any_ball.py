@@ -13,7 +13,7 @@ from rollcast.camera import NETWORK_FRAME_SIZE
 from training.data.ball_batch import BallWindow
 from training.data.windows import Window
 from training.evaluation.evaluate import EvaluationSet, Shown
-from training.networks.any_ball import AnyBallNet, Seen
+from training.networks.any_ball import AnyBallNet, seen_balls
 from training.networks.ball_detector import peaks
 from training.objectives.metrics import Forecasts, beside_truth
 
@@ -64,9 +64,8 @@ class TorchFinder:
             return torch.from_numpy(np.asarray(array, np.float32))[None]
 
         with torch.inference_mode():
-            places = tensor(balls.places)
-            seen = Seen(
-                places, places, tensor(balls.radii), tensor(balls.visible),
+            seen = seen_balls(
+                tensor(balls.places), tensor(balls.radii), tensor(balls.visible),
                 tensor(balls.log_sigmas), tensor(balls.features),
             )  # fmt: skip
             ground, scene = tensor(said["ground"][0]), tensor(said["scene"][0])

@@ -32,7 +32,7 @@ from rollcast.patches import PATCH_SIZE
 from rollcast.rollout import roll_on
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.export.onnx_graphs import free_axis, open_graphs, present, run_step, write_graph
-from training.networks.any_ball import AnyBallNet, Seen
+from training.networks.any_ball import AnyBallNet, seen_balls
 from training.networks.ball_detector import peaks
 from training.networks.perception import FEATURES
 from training.networks.recurrent import State
@@ -70,8 +70,8 @@ class RefinerGraph(torch.nn.Module):
 
     def forward(self, patches: Tensor) -> tuple[Tensor, ...]:
         """Read patches [M, 4, 3, P, P]."""
-        _, *said = self.network.eye.refiner(patches)
-        return tuple(said)
+        said = self.network.eye.refiner(patches)
+        return tuple(getattr(said, name) for name in REFINER_OUTPUTS)
 
 
 class BallEncoderGraph(torch.nn.Module):
@@ -91,7 +91,7 @@ class BallEncoderGraph(torch.nn.Module):
         scene: Tensor,
     ) -> tuple[Tensor, ...]:
         """Begin."""
-        seen = Seen(places, places, radii, radii[..., None], log_sigmas, features)
+        seen = seen_balls(places, radii, radii[..., None], log_sigmas, features)
         balls = self.network.eye.begin(seen, ground, scene)
         state = self.network.state(seen, balls, ground)
         return *state, *present(self.network.observe(state))

@@ -49,6 +49,12 @@ class Seen(NamedTuple):
 
     rough: Tensor
     """[B, N, K, 2] in the seen frames, as convolution alone has it."""
+    outline: Tensor
+    """[B, N, K, 2] the same, by the balls' edges."""
+    edges: Tensor
+    """[B, N, K, RAYS, RAY_SAMPLES] logits of the edge along rays from the rough place."""
+    reach: Tensor
+    """[B, N] half of the length of the rays, whose middle is at the radius."""
     places: Tensor
     """[B, N, K, 2] the same, as exact as can be."""
     radii: Tensor
@@ -59,6 +65,14 @@ class Seen(NamedTuple):
     """[B, N, 2]: standard deviations of the last place and of the last displacement."""
     features: Tensor
     """[B, N, FEATURES]."""
+
+
+def seen_balls(
+    places: Tensor, radii: Tensor, visible: Tensor, log_sigmas: Tensor, features: Tensor
+) -> Seen:
+    """Return what is seen, without the parts that only the loss reads."""
+    none = places[..., :0]
+    return Seen(none, none, none, none, places, radii, visible, log_sigmas, features)
 
 
 class Beginning(NamedTuple):
@@ -107,11 +121,14 @@ class BallPerception(nn.Module):
         """Return what patches around places show."""
         batch = widths_BN.shape
         said = self.refiner(patches_BNK3PP.flatten(0, 1))
-        rough, offsets, log_radius, visible, log_sigmas, features = (
+        rough, outline, edges, reach, offsets, log_radius, visible, log_sigmas, features = (
             part.unflatten(0, batch) for part in said
         )
         return Seen(
             places_BNK2 + widths_BN[..., None, None] * rough,
+            places_BNK2 + widths_BN[..., None, None] * outline,
+            edges,
+            widths_BN * reach,
             places_BNK2 + widths_BN[..., None, None] * offsets,
             widths_BN * log_radius.exp(),
             visible,

@@ -1,10 +1,11 @@
 """The refiner: patches around one ball, all seen frames, to its places to fractions of a sample.
 
-Places are read twice. A convolution over all frames side by side says where the ball's centre is;
-registration says how far what is on the ball has gone between neighbouring frames: one step of
-Gauss and Newton (Lucas and Kanade) on learned features, weighted by a learned mask. Registration
-is the more exact one where a ball is plain, and fails where its texture turns, so a perceptron
-weighs them for every pair of frames.
+Places are measured in three ways. A convolution over all frames side by side regresses the
+centre. Registration measures the displacement of the texture between neighbouring frames: one step
+of Gauss and Newton (Lucas and Kanade) on learned features, weighted by a learned mask. The outline
+fits a circle to the ball's edge. Registration is the most exact one for plain balls, and is biased
+where the texture turns; the outline does not depend on the texture, and is inexact where the edge
+is hidden or blurred. A perceptron weighs them for every pair of frames.
 
 Everything is relative to the patch: lengths are its half widths.
 """
@@ -25,6 +26,15 @@ PAIRS = OBSERVED_FRAMES - 1
 LEARNED = 5
 """Channels of learned features beside the colours that registration compares."""
 
+RAYS, RAY_SAMPLES = 24, 13
+"""Rays along which the edge of a ball is located, and samples of each."""
+
+SMALLEST_REACH = 6 / PATCH_SIZE
+"""Shortest half of a ray, which reaches half a radius to either side of the rough edge."""
+
+RIDGE = 0.01
+"""Ridge of the circle's fit; its matrix has 0.5 on the diagonal where all rays weigh the same."""
+
 DAMPING = 0.02
 SMALLEST_CONTRAST = 0.04
 """Standard deviation of intensities -1 to 1 below which a patch's contrast is not stretched."""
@@ -36,6 +46,12 @@ class Refined(NamedTuple):
     rough: Tensor
     """[M, K, 2] of the ball's centre from that of the patch in every frame, by convolution alone;
     for the loss."""
+    outline: Tensor
+    """[M, K, 2] the same, by the circle that fits the ball's edge; for the loss."""
+    edges: Tensor
+    """[M, K, RAYS, RAY_SAMPLES] logits of the edge on every ray; for the loss."""
+    reach: Tensor
+    """[M] half of a ray's length."""
     offsets: Tensor
     """[M, K, 2] the same, as exact as can be."""
     log_radius: Tensor
@@ -115,6 +131,86 @@ class Registration(nn.Module):
         return samples * (2 * pooled / PATCH_SIZE), statistics
 
 
+class Outline(nn.Module):
+    """Least-squares circle through the edge of a ball, in every frame.
+
+    The patches are sampled along rays from the rough centre, around the rough radius. A convolution
+    over rays and radii locates the edge e(a) on the ray at angle a and weighs the rays. The
+    correction (x, y) of the centre and r of the radius minimise the weighted sum of the squares
+    (x cos a + y sin a + r - e(a))^2.
+    """
+
+    directions: Tensor
+    steps: Tensor
+
+    statistics = 3
+
+    def __init__(self) -> None:
+        super().__init__()
+        hidden = 32
+        self.layers = nn.ModuleList(
+            nn.Conv2d(channels, hidden, 3, padding=(0, 1))
+            for channels in (3 * OBSERVED_FRAMES, hidden, hidden)
+        )
+        self.context = nn.Linear(256, hidden)
+        self.edges = nn.Conv2d(hidden, 2 * OBSERVED_FRAMES, 1)
+        nn.init.zeros_(self.edges.weight)
+        assert self.edges.bias is not None
+        nn.init.zeros_(self.edges.bias)
+        angles = torch.arange(RAYS) * (2 * torch.pi / RAYS)
+        directions = torch.stack([angles.cos(), angles.sin()], dim=-1)
+        self.register_buffer("directions", directions, persistent=False)
+        self.register_buffer("steps", torch.linspace(-1, 1, RAY_SAMPLES), persistent=False)
+
+    def forward(
+        self, patches_MK3PP: Tensor, rough_MK2: Tensor, radius_M: Tensor, seen_M256: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Corrections [M, K, 2] of the rough centres, statistics [M, K, statistics], edges, reach.
+
+        The last two are those of :class:`Refined`.
+        """
+        reach = (radius_M / 2).clamp(min=SMALLEST_REACH)
+        radii = radius_M[:, None] + reach[:, None] * self.steps
+        rays = radii[:, None, :, None] * self.directions[:, None]
+        points = (rough_MK2[:, :, None, None] + rays[:, None]).flatten(0, 1)
+        samples = functional.grid_sample(
+            patches_MK3PP.flatten(0, 1), points, padding_mode="border", align_corners=False
+        )
+        said = samples.unflatten(0, patches_MK3PP.shape[:2]).flatten(1, 2)
+        for number, layer in enumerate(self.layers):
+            # The last ray is the neighbour of the first one.
+            said = layer(torch.cat([said[:, :, -1:], said, said[:, :, :1]], dim=2))
+            if number == 0:
+                said = said + self.context(seen_M256)[..., None, None]
+            said = said.relu()
+        where, weight = self.edges(said).float().unflatten(1, (2, OBSERVED_FRAMES)).unbind(1)
+        with full_precision(said.device):
+            edge = (where.softmax(dim=-1) * self.steps).sum(dim=-1) * reach[:, None, None]
+            fit = self.fitted(edge, functional.softplus(weight.mean(dim=-1)))
+        return *fit, where, reach
+
+    def fitted(self, edge_MKA: Tensor, weight_MKA: Tensor) -> tuple[Tensor, Tensor]:
+        """Fit circles to edges along the rays, relative to the rough radius."""
+        total = weight_MKA.sum(dim=-1, keepdim=True) + 1e-3
+        share = weight_MKA / total
+        # Subtracting the weighted means eliminates the radius.
+        mean = (share[..., None] * self.directions).sum(dim=-2, keepdim=True)
+        x, y = (self.directions - mean).unbind(-1)
+        off = edge_MKA - (share * edge_MKA).sum(dim=-1, keepdim=True)
+
+        def summed(one: Tensor, other: Tensor) -> Tensor:
+            return (share * one * other).sum(dim=-1)
+
+        xx, xy, yy = summed(x, x) + RIDGE, summed(x, y), summed(y, y) + RIDGE
+        bx, by = summed(x, off), summed(y, off)
+        determinant = xx * yy - xy * xy
+        centre = torch.stack([yy * bx - xy * by, xx * by - xy * bx], dim=-1)
+        centre = centre / determinant[..., None]
+        left = off - x * centre[..., :1] - y * centre[..., 1:]
+        parts = total[..., 0], summed(left, left) + 1e-5, determinant
+        return centre, 0.3 * torch.stack(parts, dim=-1).log()
+
+
 class PatchRefiner(nn.Module):
     """Patches of balls, all frames of one side by side, to what they show of it."""
 
@@ -126,9 +222,17 @@ class PatchRefiner(nn.Module):
         self.registration = Registration()
         seen = 256 + PAIRS * Registration.statistics
         self.weighing = nn.Sequential(nn.Linear(seen, 96), nn.ReLU(), nn.Linear(96, PAIRS * 5))
+        self.outline = Outline()
+        fitted = seen + OBSERVED_FRAMES * Outline.statistics + 2 * PAIRS
+        self.outline_weighing = nn.Sequential(
+            nn.Linear(fitted, 96), nn.ReLU(), nn.Linear(96, PAIRS + 1)
+        )
         self.looks = nn.Linear(256, 1 + OBSERVED_FRAMES)
         self.sigmas = nn.Sequential(nn.Linear(seen, 64), nn.ReLU(), nn.Linear(64, 2))
-        for last in (self.correction, self.weighing[-1], self.looks, self.sigmas[-1]):
+        for last in (
+            self.correction, self.weighing[-1], self.outline_weighing[-1], self.looks,
+            self.sigmas[-1],
+        ):  # fmt: skip
             assert isinstance(last, nn.Linear)
             nn.init.zeros_(last.weight)
             nn.init.zeros_(last.bias)
@@ -139,6 +243,9 @@ class PatchRefiner(nn.Module):
             last = self.sigmas[-1]
             assert isinstance(last, nn.Linear)
             last.bias.fill_(-3.0)
+            last = self.outline_weighing[-1]
+            assert isinstance(last, nn.Linear)
+            last.bias.fill_(-2.0)
 
     def forward(self, patches_MK3PP: Tensor) -> Refined:
         """Read patches [M, K, 3, P, P] of M balls, intensities -1 to 1."""
@@ -155,12 +262,25 @@ class PatchRefiner(nn.Module):
         features = self.features(seen).float()
         offsets = self.correction(seen).float().unflatten(-1, (OBSERVED_FRAMES, 2))
         offsets = offsets / PATCH_HALF_WIDTH
-        read = offsets[:, 1:] - offsets[:, :-1]
+        log_radius = looks[:, 0].clamp(-3, 1) - torch.log(torch.tensor(WIDTH_IN_RADII))
+        # The loss of the outline trains neither the rough centre nor the radius.
+        rough, radius = offsets.detach(), log_radius.detach().exp()
+        correction, fit, edges, reach = self.outline(stretched, rough, radius, seen)
+        outline = rough + correction
+        read, shifted = (part[:, 1:] - part[:, :-1] for part in (offsets, outline))
         ways = torch.cat([read[:, None], registered], dim=1)
         weights = said[..., :3].softmax(dim=-1).permute(0, 2, 1)[..., None]
         moved = (weights * ways).sum(dim=1) + 0.1 * said[..., 3:]
+        unlike = 10 * (moved - shifted).detach()
+        known = torch.cat([known, fit.flatten(1), unlike.flatten(1)], dim=-1)
+        share = self.outline_weighing(known).float().sigmoid()[..., None]
+        moved = moved + share[:, :PAIRS] * (shifted - moved)
+        middle = offsets.mean(dim=1, keepdim=True)
+        middle = middle + share[:, PAIRS:] * (outline.mean(dim=1, keepdim=True) - middle)
         passed = torch.cat([torch.zeros_like(moved[:, :1]), moved.cumsum(dim=1)], dim=1)
         passed = passed - passed.mean(dim=1, keepdim=True)
-        exact = offsets.mean(dim=1, keepdim=True) + passed
-        log_radius = looks[:, 0].clamp(-3, 1) - torch.log(torch.tensor(WIDTH_IN_RADII))
-        return Refined(offsets, exact, log_radius, looks[:, 1:], sigmas.clamp(-8, 2), features)
+        exact = middle + passed
+        return Refined(
+            offsets, outline, edges, reach, exact, log_radius, looks[:, 1:], sigmas.clamp(-8, 2),
+            features,
+        )  # fmt: skip

@@ -115,6 +115,8 @@ class RefinementLoss:
     """
 
     rough = 1.0
+    outline = 2.0
+    edges = 1.0
     places = 3.0
     displacement = 2.0
     radius = 1.0
@@ -139,7 +141,8 @@ class RefinementLoss:
         weight = there * (6 * PIXEL / radii).clamp(1, 3)
         count = there.sum() + 1
         visible = batch.visible.nan_to_num()
-        off = seen.places - batch.places.nan_to_num()
+        truth = batch.places.nan_to_num()
+        off = seen.places - truth
         moved = off[:, :, 1:] - off[:, :, :-1]
         both = visible[:, :, 1:] * visible[:, :, :-1]
         placed = (self._pixels(off) * visible).mean(dim=-1)
@@ -148,11 +151,14 @@ class RefinementLoss:
         hidden = functional.binary_cross_entropy_with_logits(
             seen.visible, visible, reduction="none"
         ).mean(dim=-1)
-        rough = seen.rough - batch.places.nan_to_num()
+        rough, outline = (
+            (weight * (self._pixels(places - truth) * visible).mean(dim=-1)).sum() / count
+            for places in (seen.rough, seen.outline)
+        )
         parts = {
-            "rough": self.rough
-            * (weight * (self._pixels(rough) * visible).mean(dim=-1)).sum()
-            / count,
+            "rough": self.rough * rough,
+            "outline": self.outline * outline,
+            "edges": self.edges * (there * self._edges(seen, truth, radii, visible)).sum() / count,
             "places": self.places * (weight * placed).sum() / count,
             "displacements": self.displacement * (weight * shifted).sum() / count,
             "radius": self.radius * (there * unlike).sum() / count,
@@ -161,6 +167,26 @@ class RefinementLoss:
             "doubt": self.doubt * (there * self._doubt(seen, off)).sum() / count,
         }
         return parts | self._beginning(balls, batch, count)
+
+    def _edges(self, seen: Seen, truth: Tensor, radii: Tensor, visible: Tensor) -> Tensor:
+        """Cross entropy [B, N] of the edges along the rays of the outline."""
+        rays, samples = seen.edges.shape[-2:]
+        angles = torch.arange(rays) * (2 * torch.pi / rays)
+        directions = torch.stack([angles.cos(), angles.sin()], dim=-1).to(truth)
+        centre = (truth - seen.rough.detach())[..., None, :]
+        along = (centre * directions).sum(dim=-1)
+        # Where a ray that begins within the circle leaves it.
+        left = radii[..., None, None] ** 2 - centre.square().sum(dim=-1) + along.square()
+        edge = along + left.clamp(min=0).sqrt() - seen.radii.detach()[..., None, None]
+        at = (edge / seen.reach[..., None, None] + 1) * ((samples - 1) / 2)
+        known = ((at >= 0) & (at <= samples - 1) & (left > 0)) * visible[..., None]
+        low = at.clamp(0, samples - 1.001).floor()
+        share = at.clamp(0, samples - 1) - low
+        likely = seen.edges.log_softmax(dim=-1)
+        low = low.long()[..., None]
+        lower, upper = (likely.gather(-1, low + step)[..., 0] for step in (0, 1))
+        missed = -(1 - share) * lower - share * upper
+        return (missed * known).mean(dim=(-2, -1))
 
     def _beginning(self, balls: Beginning, batch: BallBatch, count: Tensor) -> dict[str, Tensor]:
         now, before = (batch.centres[:, :, OBSERVED_FRAMES - 1 - back] for back in (0, 1))

@@ -20,7 +20,7 @@ COMMANDS = {
     "simulate", "check-world", "train", "dry-run", "plot-run", "auto-train", "evaluate",
     "error-breakdown", "export", "quantise", "fit-ood", "setup", "real", "real-clips",
     "tracked-clips", "perturbations", "study", "report", "train-balls", "train-encounters",
-    "export-balls",
+    "train-ball-motion", "export-balls",
 }  # fmt: skip
 
 

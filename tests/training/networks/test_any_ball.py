@@ -11,7 +11,7 @@ from training.export.load import any_ball_from, load_exported
 from training.networks.any_ball import AnyBallNet, SizedEncounters
 from training.networks.ball_detector import BallMaps, peaks, voted
 from training.networks.fieldnet import Ball
-from training.networks.patch_refiner import PatchRefiner, Registration
+from training.networks.patch_refiner import Outline, PatchRefiner, Registration
 from training.networks.patches import cut_patches, half_widths
 from training.networks.recurrent import State
 
@@ -60,6 +60,24 @@ def test_registration_finds_how_far_a_texture_has_gone(shift):
         displacements, _ = Registration()(torch.stack(frames)[None])
     samples = displacements[0, 0] * 16
     assert torch.allclose(samples, torch.tensor(shift).expand(3, 2), atol=0.12)
+
+
+def test_the_outline_is_the_circle_through_the_edge():
+    generator = torch.Generator().manual_seed(2)
+    angles = torch.arange(24) * (2 * torch.pi / 24)
+    centre, radius = torch.tensor([[0.05, -0.03]] * 4), 0.08
+    # Distance of a circle from a point near its centre, to first order.
+    edge = centre[:, :1] * angles.cos() + centre[:, 1:] * angles.sin() + radius
+    weight = torch.rand(1, 4, 24, generator=generator)
+    weight[:, :, :8] = 0  # a third of the edge is hidden
+    found, _ = Outline().fitted(edge[None], 50 * weight)
+    assert torch.allclose(found[0], centre, atol=0.006)  # a ridge of 1 in 50
+
+
+def test_without_an_edge_the_outline_stays_at_the_rough_centre():
+    found, said = Outline().fitted(torch.rand(1, 4, 24), torch.zeros(1, 4, 24))
+    assert found.abs().max() == 0
+    assert torch.isfinite(said).all()
 
 
 def test_an_untaught_refiner_stays_where_the_patch_is():

@@ -70,8 +70,10 @@ def seen_of(batch: BallBatch, error: float) -> tuple[Seen, Beginning]:
     count = places.shape[:2]
     last = torch.cat([places[:, :, -1], torch.zeros(*count, 1)], dim=-1)
     velocity = last - torch.cat([places[:, :, -2], torch.zeros(*count, 1)], dim=-1)
+    radii = batch.radii.nan_to_num(0.1)
+    edges = 30.0 * (torch.arange(13) == 6).expand(*count, 4, 24, 13)
     seen = Seen(
-        places, places, batch.radii.nan_to_num(0.1), 9 * torch.ones(*count, 4),
+        places, places, edges, radii / 2, places, radii, 9 * torch.ones(*count, 4),
         -4 * torch.ones(*count, 2), torch.zeros(*count, 128),
     )  # fmt: skip
     return seen, Beginning(last, velocity, torch.zeros(*count, 3), torch.zeros(*count, 2))
@@ -82,7 +84,7 @@ def test_patches_that_show_the_truth_cost_nearly_nothing():
     batch = chosen(batch, torch.tensor([[0, 2], [1, 1]]))
     right = RefinementLoss()(*seen_of(batch, 0.0), batch)
     wrong = RefinementLoss()(*seen_of(batch, 0.02), batch)
-    for name in ("rough", "places", "displacements", "centres", "velocities"):
+    for name in ("rough", "outline", "edges", "places", "displacements", "centres", "velocities"):
         assert right[name] < 1e-3
         assert wrong[name] > right[name] + 0.3, name
     assert torch.isfinite(torch.stack(list(wrong.values()))).all()
@@ -94,5 +96,7 @@ def test_balls_that_are_not_there_teach_only_that():
     strange = seen.places.clone()
     strange[:, 1] += 0.7
     usual = RefinementLoss()(seen, balls, batch)
-    other = RefinementLoss()(seen._replace(places=strange, rough=strange), balls, batch)
+    other = RefinementLoss()(
+        seen._replace(places=strange, rough=strange, outline=strange), balls, batch
+    )
     assert all(torch.equal(usual[name], other[name]) for name in usual)

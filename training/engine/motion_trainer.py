@@ -1,0 +1,210 @@
+"""Trains the states at t = 0 and the motion of any number of balls by whole trajectories.
+
+The perception is frozen, and what it reads of each window is computed once. A loss at t = 0 weighs
+all errors of a velocity alike; along a trajectory those count that lead away from it, and the
+motion learns from states as the perception measures them.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+from training.data.ball_batch import BallBatch
+from training.networks.any_ball import AnyBallNet, Seen, seen_balls
+from training.networks.ball_detector import PIXEL, BallMaps, voted
+from training.networks.blocks import PIXEL_UNIT
+from training.networks.fieldnet import Ball
+from training.networks.patches import half_widths
+from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Observation
+from training.objectives.detection import RefinementLoss
+from training.objectives.losses import LikelihoodLoss, SpinLoss, smooth_distance, step_weights
+
+VISIBLE = 0.3
+"""Smallest visible share in the last frame of balls that are read."""
+MOST_BALLS = 3
+"""Balls of a window at most: as many as the simulations have."""
+MOTION_PARTS = ("eye.state.", "rolling.", "first_doubt.", "unsure.")
+"""Prefixes of the parameters that are trained."""
+LIKELIHOOD_WEIGHT = 0.2
+"""Pixels that a nat counts for; the likelihood trains the covariances alone."""
+
+
+class BallReadings(NamedTuple):
+    """What the perception reads of W windows of N balls, and their truth."""
+
+    places: Tensor
+    """[W, N, K, 2] in the seen frames."""
+    radii: Tensor
+    """[W, N]."""
+    visible: Tensor
+    """[W, N, K] logits."""
+    log_sigmas: Tensor
+    """[W, N, 2]."""
+    features: Tensor
+    """[W, N, FEATURES]."""
+    ground: Tensor
+    """[W, 3, G, G]."""
+    scene: Tensor
+    """[W, 2]."""
+    centres: Tensor
+    """[W, N, S, 3] true ones, from the first seen frame on; NaN where they are not known."""
+    spins: Tensor
+    """[W, N, T, 3] true ones from t = 0 on, rad/s; NaN where they are not known."""
+
+    @property
+    def seen(self) -> Seen:
+        """What is seen of the balls."""
+        return seen_balls(self.places, self.radii, self.visible, self.log_sigmas, self.features)
+
+    def taken(self, index: Tensor) -> "BallReadings":
+        """Return the readings of some windows."""
+        return BallReadings(*(part[index] for part in self))
+
+
+@dataclass(frozen=True)
+class MotionTraining:
+    """Configuration of a training, besides its readings.
+
+    Attributes
+    ----------
+    batches
+        Budget; the horizon grows to ``horizon`` over the first half of it.
+    state_rate, motion_rate
+        Learning rates of the states at t = 0 and of the motion; both fall to zero as a cosine.
+    """
+
+    batches: int
+    batch_size: int = 128
+    horizon: int = 40
+    state_rate: float = 8e-4
+    motion_rate: float = 5e-5
+    halving: float = 10.0
+    seed: int = 1
+
+
+def read_windows(
+    network: AnyBallNet, batches: Iterable[BallBatch], seed: int
+) -> Mapping[int, BallReadings]:
+    """Return the readings of the windows of some batches, by their number of balls.
+
+    Balls are read as if a point on each were given: the detector says where patches begin.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    rows: dict[int, list[BallReadings]] = {}
+    for batch in batches:
+        with torch.inference_mode():
+            maps = network.eye.detector.maps(batch.frames)
+            for window in range(len(batch.frames)):
+                balls = _balls_of(batch, window)
+                if not 0 < len(balls) <= MOST_BALLS:
+                    continue
+                places, radii = batch.places[window, balls], batch.radii[window, balls]
+                off = torch.rand(places[:, -1].shape, generator=generator) - 0.5
+                click = places[:, -1] + off * torch.maximum(radii, 3 * PIXEL * radii**0)[:, None]
+                one = slice(window, window + 1)
+                said = voted(BallMaps(*(part[one] for part in maps)), click[None])
+                lost = (said.places[0] - places).norm(dim=-1).amax(dim=-1) > 0.8 * half_widths(
+                    radii
+                )
+                if lost.any():
+                    continue
+                seen = network.eye.refine(batch.frames[one], said.places, said.radii)
+                reading = BallReadings(
+                    seen.places, seen.radii, seen.visible, seen.log_sigmas, seen.features,
+                    maps.ground[one], maps.scene[one], batch.centres[one, balls],
+                    batch.spins[one, balls],
+                )  # fmt: skip
+                rows.setdefault(len(balls), []).append(
+                    BallReadings(*(part.clone() for part in reading))
+                )
+    return {
+        count: BallReadings(*(torch.cat(parts) for parts in zip(*readings, strict=True)))
+        for count, readings in sorted(rows.items())
+    }
+
+
+def _balls_of(batch: BallBatch, window: int) -> Tensor:
+    """Index of the balls of a window to read: those whose future is known, or else any two."""
+    visible = batch.visible[window, :, -1].nan_to_num() > VISIBLE
+    known = ~batch.centres[window, :, :, :2].isnan().flatten(1).any(dim=1)
+    if known.any():
+        return known.nonzero()[:, 0] if visible[known].all() else known.new_zeros(0).long()
+    return (visible & (batch.there[window] > 0)).nonzero()[:2, 0]
+
+
+def train_motion(
+    network: AnyBallNet, readings: Mapping[int, BallReadings], training: MotionTraining
+) -> Iterator[float]:
+    """Train in place; yield the loss of every batch.
+
+    Parameters
+    ----------
+    readings
+        By number of balls.
+    """
+    rolls, begins = [], []
+    for name, parameter in network.named_parameters():
+        parameter.requires_grad_(name.startswith(MOTION_PARTS))
+        if name.startswith("rolling."):
+            rolls.append(parameter)
+        elif parameter.requires_grad:
+            begins.append(parameter)
+    parameters = [*begins, *rolls]
+    learned = [
+        {"params": begins, "lr": training.state_rate},
+        {"params": rolls, "lr": training.motion_rate},
+    ]
+    rates = [group["lr"] for group in learned]
+    optimiser = torch.optim.AdamW(learned, weight_decay=1e-3)
+    counts = list(readings)
+    shares = np.array([len(readings[count].radii) for count in counts], float)
+    for number in range(training.batches):
+        generator = np.random.default_rng([training.seed, number])
+        progress = number / training.batches
+        for group, rate in zip(optimiser.param_groups, rates, strict=True):
+            group["lr"] = rate * 0.5 * (1 + np.cos(np.pi * progress))
+        some = readings[counts[generator.choice(len(counts), p=shares / shares.sum())]]
+        index = torch.from_numpy(generator.integers(len(some.radii), size=training.batch_size))
+        horizon = int(np.interp(progress, (0, 0.5), (4, training.horizon)))
+        loss = trajectory_loss(network, some.taken(index), horizon, training.halving)
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        if torch.isfinite(torch.nn.utils.clip_grad_norm_(parameters, 0.5)):
+            optimiser.step()
+        yield loss.item()
+
+
+def trajectory_loss(
+    network: AnyBallNet, readings: BallReadings, horizon: int, halving: float
+) -> Tensor:
+    """Loss of trajectories that begin with what was read, in pixels; what is not known is free."""
+    seen = readings.seen
+    balls = network.eye.begin(seen, readings.ground, readings.scene)
+    ball = Ball.unpacked(network.state(seen, balls, readings.ground).p)
+    steps = [ball]
+    for _ in range(horizon - 1):
+        steps.append(network.rolling(steps[-1], readings.ground))
+    centres = torch.stack([step.centre for step in steps], dim=2)
+    truth = readings.centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
+    off = PIXEL_UNIT * torch.where(truth.isnan(), 0.0, centres - truth.nan_to_num())
+    weights = step_weights(horizon, halving)
+    moved = smooth_distance(off[:, :, 1:] - off[:, :, :-1], RefinementLoss.rounding)
+    loss = (weights * smooth_distance(off, RefinementLoss.rounding)).mean() + moved.mean()
+    doubt = torch.stack([step.doubt for step in steps], dim=2)
+    flat = torch.cat([centres[..., :2].detach(), doubt], dim=-1)
+    positions, covariances = network.output(flat)
+    spins = ANGULAR_VELOCITY_UNIT * torch.stack([step.spin for step in steps], dim=2)
+    made = Observation(positions, covariances, spins)
+    pixels = PIXEL_UNIT * (1 + truth[..., :2])
+    loss = loss + LIKELIHOOD_WEIGHT * LikelihoodLoss(halving, 0.0, 5.0)(made, pixels)
+    loss = loss + SpinLoss(halving)(made, readings.spins[:, :, :horizon])
+    now, before = (readings.centres[:, :, OBSERVED_FRAMES - 1 - back] for back in (0, 1))
+    for said, true in ((balls.centres, now), (balls.velocities, now - before)):
+        unlike = torch.where(true.isnan(), 0.0, said - true.nan_to_num())
+        loss = loss + smooth_distance(PIXEL_UNIT * unlike, RefinementLoss.rounding).mean()
+    return loss
