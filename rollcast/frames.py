@@ -1,7 +1,7 @@
 """Pictures of any kind become frames: RGB, uint8, [height, width, 3].
 
 :func:`as_frame` is the only conversion: client, command line and training all go through it, and
-:func:`to_rgb` is its rule for Pillow images. One range holds everywhere:
+:func:`to_rgb` is its rule for Pillow images. Each kind has one range everywhere.
 
 =====================  ==========================================================
 unsigned 16 bits       0 to 65535, divided by 257

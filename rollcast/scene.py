@@ -71,7 +71,7 @@ class Scene(BaseModel):
     Fields that do not belong to the scenario are None: the shape of a bowl is ``axis_ratio``, that
     of a heightfield ``noise_scale`` and ``noise_offset_m``, that of a table ``slope`` and
     ``walls_m``. A material property that is None has the value of the paper's scenes
-    (:class:`rollcast.simulation.physics.Material`).
+    (``rollcast.simulation.physics.Material``).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -107,7 +107,7 @@ class Scene(BaseModel):
     rolling_resistance: Annotated[float, Field(ge=0, le=0.3)] | None = None
     """Resisting torque per normal force, in ball radii."""
     damping: Annotated[float, Field(ge=0, le=1)] | None = None
-    """Air drag d: dv/dt = -d v (1 + |v|), in m/s, and likewise for the spin in rad/s."""
+    """Air drag d: ``dv/dt = -d v (1 + |v|)``, in m/s, and likewise for the spin in rad/s."""
     ball_restitution: Restitution | None = None
     """Coefficient of restitution between two balls."""
     wall_restitution: Restitution | None = None

@@ -16,10 +16,10 @@ export UV_SYSTEM_CERTS=1 UV_NO_PROGRESS=1
 mkdir -p build
 "$uv" pip compile --quiet --resolution lowest-direct --python "$python" --output-file build/lowest.txt \
     ${index:+--default-index "$index"} \
-    --extra dataframe --extra service --extra simulation --extra track pyproject.toml
+    --extra dataframe --extra datasets --extra service --extra simulation --extra track pyproject.toml
 "$uv" venv --quiet --no-project --clear --python "$python" build/lowest
 "$uv" pip install --quiet --python build/lowest/bin/python ${index:+--default-index "$index"} \
     --requirements build/lowest.txt --constraints build/lowest.txt \
-    beartype hypothesis inline-snapshot markdown-it-py psutil pytest pyyaml schemathesis
+    beartype hypothesis inline-snapshot markdown-it-py psutil pytest pyyaml schemathesis unasync
 [ $# -gt 0 ] || set -- tests/contract tests/service tests/rollcast --ignore=tests/rollcast/simulation
 exec build/lowest/bin/python -m pytest -q "$@"

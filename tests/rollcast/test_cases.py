@@ -14,7 +14,6 @@ from rollcast.__main__ import main
 from rollcast.client import Client
 from rollcast.client.images import decoded
 from rollcast.client.testing import FakeService
-from training.data.clip_dataset import load_clips
 
 CASES = os.environ.get("ROLLCAST_CASES")  # noqa: TID251 - where a tester keeps them
 pytestmark = pytest.mark.skipif(CASES is None, reason="ROLLCAST_CASES names no folder of cases")
@@ -84,6 +83,7 @@ def test_it_is_refused_in_a_line(name, capsys):
 )
 def test_a_rig_is_found_with_its_own_tracks(name, clips, tmp_path, monkeypatch):
     monkeypatch.setenv("ROLLCAST_RUNS", str(tmp_path))
+    load_clips = pytest.importorskip("training.data.clip_dataset").load_clips  # needs torch
     found = [clip for split in load_clips(FOLDER / "rig" / name).values() for clip in split]
     assert len({clip.name for clip in found}) == clips
     for clip in found:

@@ -4,7 +4,6 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
-from torch.utils.data import DataLoader
 
 from rollcast import datasets
 from rollcast.camera import camera_for
@@ -72,9 +71,10 @@ def test_a_slice_is_a_data_set(data):
 
 
 def test_windows_are_batches_of_torch(data):
+    loading = pytest.importorskip("torch.utils.data")
     windows = data.windows(horizon=3)
     assert len(windows) == 3 * (STEPS - 4 - 3 + 2)
-    batch = next(iter(DataLoader(windows, batch_size=5)))
+    batch = next(iter(loading.DataLoader(windows, batch_size=5)))
     assert batch["frames"].shape == (5, 4, 64, 64, 3)
     assert batch["positions"].shape == (5, 2, 3, 2)
     second_scene = windows[len(windows) // 3]

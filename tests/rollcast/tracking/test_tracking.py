@@ -1,5 +1,6 @@
 """Tracks of made-up films beside the truth."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,14 @@ from PIL import Image
 from rollcast.ball_finding import Sightings
 from rollcast.errors import CropError, FootageError
 from rollcast.footage import SquareCrop
+from rollcast.manifest import MANIFEST_FILE, Manifest
+from rollcast.tracking.finder import LEAST_SCORE
 from rollcast.tracking.overlay import draw_tracks
 from rollcast.tracking.track import Tracked, track
 from rollcast.tracking.tracks import Tracks
 from rollcast.video_writer import write_film
+from service.inference.ball_predictor import BallPredictor
+from service.inference.onnx_runtime import open_predictor
 from tests.rollcast.tracking.billiards import (
     BALLS,
     COLOURS,
@@ -23,16 +28,30 @@ from tests.rollcast.tracking.billiards import (
     Billiards,
     billiards,
 )
-from training.export.graph_finder import GraphFinder
 
 FRAMES = 110
 NO_COLOURS = b"# {}\nclip,frame,time,ball,x,y,radius,confidence\nc,0,0.0,0,1,1,1,1\n"
 PERCEPTION = Path(__file__).parents[3] / "models/any-ball/1"
 
 
+class ServiceFinder:
+    """Finds balls as the service does for `POST /detect`, without HTTP."""
+
+    def __init__(self, folder: Path) -> None:
+        model = open_predictor(folder, Manifest.read(folder / MANIFEST_FILE))
+        assert isinstance(model, BallPredictor)
+        self._model = model
+
+    def prepare(self, picture: np.ndarray) -> np.ndarray:
+        return picture
+
+    def find(self, frames: Sequence[np.ndarray]) -> Sightings:
+        return self._model.sight(np.stack(frames), LEAST_SCORE, refine_still=False)
+
+
 @pytest.fixture(scope="module")
 def finder():
-    return GraphFinder(PERCEPTION)
+    return ServiceFinder(PERCEPTION)
 
 
 @pytest.fixture(scope="module")
