@@ -36,11 +36,11 @@ def read_windows(
     while seen < windows:
         batch = next(stream)
         with torch.no_grad(), mixed_precision(device):
-            sight = family.sight(batch["frames"].to(device))
+            initial = family.initial_state(batch["frames"].to(device))
         # A map of the ground has no use for more digits than halves have.
-        read = {"s": sight.state.s.half(), "p": sight.state.p.float()}
-        if sight.finals is not None:
-            read["finals"] = sight.finals.float()
+        read = {"s": initial.state.s.half(), "p": initial.state.p.float()}
+        if initial.finals is not None:
+            read["finals"] = initial.finals.float()
         for name in TRUTH:
             read[name] = batch[name]
         for name, part in read.items():
@@ -66,7 +66,7 @@ def replayed(
         drawn = {name: part[rows] for name, part in readings.items()}
         yield Batch(
             frames=torch.empty(len(own), 0, *FRAME_SHAPE, dtype=torch.uint8),
-            sight=InitialState(State(drawn["s"].float(), drawn["p"]), drawn.get("finals")),
+            initial_state=InitialState(State(drawn["s"].float(), drawn["p"]), drawn.get("finals")),
             positions=drawn["positions"],
             angular_velocities=drawn["angular_velocities"],
         )

@@ -91,7 +91,7 @@ class Batch(TypedDict):
     """The fields of :class:`Guidance`."""
     practice: NotRequired["Batch"]
     """More windows without frames."""
-    sight: NotRequired[InitialState]
+    initial_state: NotRequired[InitialState]
     """What was read of the frames, in their place."""
 
 

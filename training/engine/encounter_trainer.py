@@ -1,7 +1,7 @@
-"""Teaches balls of a network for any number to meet, from true states alone.
+"""Training of the interactions between balls in :class:`AnyBallNet`, on true states.
 
-Only what is told of others learns: a ball with nobody near moves as before, to the bit. Nothing is
-rendered, so a batch costs little.
+Only the messages between balls, and the weights that read them, are trained: the motion of a ball
+without neighbours stays the same to the bit. No frames are rendered, so batches are cheap.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,12 +21,22 @@ from training.objectives.losses import MotionLoss, SpinLoss
 
 @dataclass(frozen=True)
 class EncounterTraining:
-    """What such a training is determined by, besides its scenes.
+    """Configuration of a training of interactions, without its scenes.
 
     Attributes
     ----------
     batches
-        Budget; the horizon grows to ``horizon`` over the first half of it.
+        Number of batches.
+    batch_size
+        Windows per batch.
+    horizon
+        Steps of the longest rollouts; the horizon grows from 2 over the first half of the batches.
+    learning_rate
+        Initial learning rate; it falls to 0 along half a cosine.
+    halving
+        Step at which an error has half the weight of the first one in the losses.
+    seed
+        Seed of the windows.
     """
 
     batches: int
@@ -40,18 +50,22 @@ class EncounterTraining:
 def train_encounters(
     network: AnyBallNet, sources: Sequence[BallSource], training: EncounterTraining
 ) -> Iterator[float]:
-    """Train in place; yields the loss of every batch.
+    """Train ``network`` in place and yield the loss of every batch.
 
     Parameters
     ----------
+    network
+        Network with ``encounters``.
     sources
-        Scenes of several balls, as many in all of a source.
+        Scenes of several balls. All scenes of one source have the same number of balls.
+    training
+        Configuration.
     """
     rolling = network.rolling
     assert rolling.encounters is not None
     columns = [rolling.layers[0].weight, rolling.linear.weight]
-    learned = [*rolling.encounters.parameters(), *columns]
-    optimiser = torch.optim.AdamW(learned, training.learning_rate, weight_decay=0.0)
+    trained = [*rolling.encounters.parameters(), *columns]
+    optimiser = torch.optim.AdamW(trained, training.learning_rate, weight_decay=0.0)
     motion, spin = MotionLoss(training.halving), SpinLoss(training.halving)
     shares = np.array([source.share for source in sources])
     for number in range(training.batches):
@@ -60,17 +74,18 @@ def train_encounters(
         windows = [
             source.maker.truth(generator, source.latest_start) for _ in range(training.batch_size)
         ]
-        spent = number / training.batches
-        horizon = int(np.interp(spent, (0, 0.5), (2, training.horizon)))
+        progress = number / training.batches
+        horizon = int(np.interp(progress, (0, 0.5), (2, training.horizon)))
         for group in optimiser.param_groups:
-            group["lr"] = training.learning_rate * 0.5 * (1 + np.cos(np.pi * spent))
+            group["lr"] = training.learning_rate * 0.5 * (1 + np.cos(np.pi * progress))
         loss = _loss(network, collate(windows), horizon, motion, spin)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
+        # The last columns read the messages; all others stay.
         for weight in columns:
             assert weight.grad is not None
             weight.grad[:, :-MESSAGE] = 0
-        if torch.isfinite(torch.nn.utils.clip_grad_norm_(learned, 0.5)):
+        if torch.isfinite(torch.nn.utils.clip_grad_norm_(trained, 0.5)):
             optimiser.step()
         yield loss.item()
 
@@ -78,7 +93,7 @@ def train_encounters(
 def _loss(
     network: AnyBallNet, batch: BallBatch, horizon: int, motion: MotionLoss, spin: SpinLoss
 ) -> torch.Tensor:
-    # All windows of a batch have as many balls: none is padded.
+    # All windows of a batch have the same number of balls, so no slot is padding.
     balls = int(batch.there[0].sum())
     centres, spins = batch.centres[:, :balls], batch.spins[:, :balls, :horizon]
     state = true_state(centres[:, :, :OBSERVED_FRAMES], spins[:, :, 0], batch.ground, batch.scene)
@@ -88,6 +103,7 @@ def _loss(
         ball = network.rolling(ball, state.s)
         moved.append(ball.centre)
         turned.append(ball.spin)
-    way, turning = torch.stack(moved, dim=2), ANGULAR_VELOCITY_UNIT * torch.stack(turned, dim=2)
+    paths = torch.stack(moved, dim=2)
+    velocities = ANGULAR_VELOCITY_UNIT * torch.stack(turned, dim=2)
     truth = centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
-    return motion(way, truth) + spin(Observation(way[..., :2], None, turning), spins)
+    return motion(paths, truth) + spin(Observation(paths[..., :2], None, velocities), spins)

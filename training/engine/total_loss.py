@@ -7,7 +7,7 @@ from training.common.precision import mixed_precision
 from training.data.windows import Batch
 from training.networks.blocks import PIXEL_UNIT
 from training.networks.fieldnet import FieldFamily, FieldNet, true_state
-from training.networks.perception_state import SightedFamily
+from training.networks.perception_state import PerceptionStateFamily
 from training.networks.recurrent import (
     Family,
     InitialState,
@@ -43,8 +43,8 @@ class Objective:
 
     def _forecasts(self, batch: Batch, horizon: int) -> dict[str, Observation]:
         """Return every member's forecasts of a batch's frames, or of what was read of them."""
-        if "sight" in batch:
-            (s, p), finals = batch["sight"]
+        if "initial_state" in batch:
+            (s, p), finals = batch["initial_state"]
             state = State(s.to(self.device), p.to(self.device))
             seen = InitialState(state, None if finals is None else finals.to(self.device))
             return self._practised(seen, horizon)
@@ -56,11 +56,11 @@ class Objective:
             prompts = (batch["guidance"][0].to(self.device) - PIXEL_UNIT) / PIXEL_UNIT
             return _all_in_float32(self.family(frames, horizon, prompts))
 
-    def _practised(self, sight: InitialState, horizon: int) -> dict[str, Observation]:
+    def _practised(self, initial: InitialState, horizon: int) -> dict[str, Observation]:
         """Return every member's forecasts from what was read, or is true."""
         assert isinstance(self.family, PerceptionFamily)
         with mixed_precision(self.device):
-            return _all_in_float32(self.family.forecast_from(sight, horizon))
+            return _all_in_float32(self.family.forecast_from(initial, horizon))
 
     def _forecast_loss(
         self, forecasts: dict[str, Observation], batch: Batch, horizon: int
@@ -105,7 +105,7 @@ class Objective:
         centres, ground, measures = self._scene_targets(batch)
         spins = batch["angular_velocities"][:, :, :horizon].to(self.device)
         start = true_state(centres[:, :, :OBSERVED_FRAMES], spins[:, :, 0], ground, measures)
-        if isinstance(self.family, SightedFamily):
+        if isinstance(self.family, PerceptionStateFamily):
             final = None
             if recipe.task.final_step is not None:
                 final = centres[:, :, FIRST_FORECAST_FRAME + recipe.task.final_step, :2]

@@ -25,7 +25,7 @@ from rollcast.scene import MAX_BALLS
 from rollcast.trajectory import OBSERVED_FRAMES
 from rollcast.video import every_frame
 from training.networks.blocks import PIXEL_UNIT
-from training.networks.perception import Eye
+from training.networks.perception import Perception
 from training.networks.recurrent import Network, PerceptionOutput
 
 EVERY = 2
@@ -165,7 +165,7 @@ a model answers with, in halves of the frame."""
 
 def eye_look(network: Network) -> Look:
     """Return how a network for a fixed number of balls sees: its first ball."""
-    (eye,) = (part for part in network.modules() if isinstance(part, Eye))
+    (eye,) = (part for part in network.modules() if isinstance(part, Perception))
 
     def look(frames: np.ndarray, prompt: np.ndarray | None) -> np.ndarray:
         prompts = None if prompt is None else torch.from_numpy(prompt[None, None]).float()

@@ -42,7 +42,7 @@ from training.export.onnx_graphs import (
 )
 from training.export.spec import Trained
 from training.export.weight_rounding import round_weights
-from training.networks.perception import Eye
+from training.networks.perception import Perception
 from training.networks.perception_state import AttendedTransition
 from training.networks.recurrent import Network
 from training.objectives.metrics import HALF, Forecasts, distances_sigmas
@@ -103,7 +103,7 @@ def export(
     (folder / FAMILIARITY_FILE).unlink(missing_ok=True)
     task = trained.recipe.task
     predictor = trained.predictor.cpu().eval()
-    round_weights(m for m in predictor.modules() if isinstance(m, Eye | AttendedTransition))
+    round_weights(m for m in predictor.modules() if isinstance(m, Perception | AttendedTransition))
     sample = collate(_spread(validation, GOLDEN_SEQUENCES))["frames"]
     write_graphs(predictor, sample, folder)
     horizon = trained.horizon

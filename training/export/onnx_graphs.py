@@ -28,7 +28,7 @@ from rollcast.rollout import Arrays, Step, roll_out
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.common.settings import keep_runtime_silent
 from training.export.weight_rounding import rename, store_in_bytes
-from training.networks.perception import Eye, PerceptionNetwork, looked
+from training.networks.perception import Perception, PerceptionNetwork, perceive
 from training.networks.recurrent import Network, Observation, PerceptionOutput, State
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ _OWN_PREFIX = "network."
 class EyeGraph(torch.nn.Module):
     """Perception graph, shared by all networks with the same perception weights."""
 
-    def __init__(self, eye: Eye) -> None:
+    def __init__(self, eye: Perception) -> None:
         super().__init__()
         self.eye = eye
 
@@ -113,11 +113,11 @@ def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
     outputs = list(first_observation(predictor, frames))
     encoded = [*STATE_NAMES, *outputs]
     if isinstance(predictor, PerceptionNetwork):
-        (eye,) = (EyeGraph(part) for part in predictor.modules() if isinstance(part, Eye))
+        (eye,) = (EyeGraph(part) for part in predictor.modules() if isinstance(part, Perception))
         seen, read_names = (frames[:, :OBSERVED_FRAMES],), [PLACES, *READ_NAMES]
         write_graph(eye, seen, [FRAMES_INPUT], read_names, folder / EYE_FILE)
         with torch.inference_mode():
-            (_, *read, _), finals = looked(eye.eye, frames)
+            (_, *read, _), finals = perceive(eye.eye, frames)
         names = list(READ_NAMES)
         if finals is not None:
             names.append(FINALS)

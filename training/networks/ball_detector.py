@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.networks.blocks import cell_centres
-from training.networks.perception import FirstLook
+from training.networks.perception import CoarseDetector
 
 CANDIDATES = 16
 """Peaks that are kept of a window."""
@@ -58,15 +58,15 @@ class Candidates(NamedTuple):
     """[B, N], 0..1."""
 
 
-class BallDetector(FirstLook):
-    """Frames to maps at a quarter of their resolution; its trunk is that of the first look."""
+class BallDetector(CoarseDetector):
+    """Frames to maps at a quarter of their resolution; its trunk is the coarse detector's."""
 
     cells: Tensor
 
     def __init__(self) -> None:
         super().__init__(objects=1)
         fine, middle, hidden = 48, 96, 48
-        # Where one ball that moves is, the first look knows at 16 x 16 cells already.
+        # The coarse detector's position of a single moving ball, at 16 x 16 cells, is an input.
         known = self.where.out_channels
         self.said_16 = nn.Conv2d(middle + known, hidden, 1)
         self.said_32 = nn.Conv2d(fine, hidden, 3, padding=1)

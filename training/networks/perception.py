@@ -1,9 +1,9 @@
-"""The eye of the explicit-state network: frames to the ground and to every ball's state.
+"""Perception of FieldNet: frames to a ground map and the initial states of the balls.
 
-A first look at the whole frames maps the ground and says roughly where the balls are; closer looks
-at patches around them, all seen frames side by side, give positions to fractions of a pixel and
-show how the texture turns. An eye with a zoomed look measures each ball's radius as well and looks
-once more, at a patch that the ball just fills.
+A coarse detector on whole frames predicts the ground map and approximate positions. A refiner on
+patches around the balls, all observed frames stacked, predicts positions to fractions of a pixel
+and features of the texture's rotation. With a zoomed refiner, perception also measures the radius
+of each ball, and refines its position on a patch that the ball just fills.
 
 Lengths are halves of the frame in image axes (x right, y down, z towards the camera), times are
 frames. Shape suffixes as in ``blocks.py``.
@@ -24,91 +24,94 @@ from training.networks.blocks import PIXEL_UNIT, ResidualConv, cell_centres, nor
 from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Network, PerceptionOutput, State
 
 FEATURES = 128
-"""Numbers that the closest look says of every ball besides its positions."""
+"""Size of the features that the refiner predicts for every ball."""
 
 PATCH = 32
-"""Samples a side of a closer look."""
+"""Width of a refiner's patch in samples."""
 
 PATCH_HALF_WIDTH = 20 / PIXEL_UNIT
-"""40 pixels: the largest ball of any scenario, and some ground around it."""
+"""Half of 40 pixels: the largest ball of all scenarios, and some ground around it."""
 
 ZOOM_MARGIN = 4 / PIXEL_UNIT
-"""Ground around the ball in a zoomed look: 4 pixels, of which motion blur may take some."""
+"""Ground around the ball in a zoomed patch: 4 pixels, including motion blur."""
 
 USUAL_RADIUS, SMALLEST_SEEN, LARGEST_SEEN = 8 / PIXEL_UNIT, 1 / PIXEL_UNIT, 40 / PIXEL_UNIT
-"""Radius that an untaught zoomed look assumes, and the limits of what it can say."""
+"""Radius that an untrained zoomed refiner predicts, and the limits of its predictions."""
 
 STEEPEST = 0.3
-"""Least upright part of a normal that is divided by."""
+"""Lower bound of a normal's z component in divisions."""
 
 SMALLEST_RADIUS = 0.02
-"""Halves of the frame; an untaught eye may see anything."""
+"""Lower bound of radii in divisions, halves of the frame, for untrained networks."""
 
 SAMPLE_AHEAD = (0.0, 0.5, 1.0)
-"""Frames ahead at which the ground is felt for the first velocity."""
+"""Offsets in frames at which the ground map is sampled for the initial velocity."""
 
 
 def of_each(module: nn.Module, x: Tensor) -> Tensor:
-    """Apply a perceptron over the last axis.
+    """Apply a perceptron along the last axis.
 
-    Written as one matrix product: only those keep their parameters' names in an exported graph.
+    It is one matrix product, because an exported graph keeps parameter names only for those.
     """
     return module(x.flatten(0, -2)).unflatten(0, x.shape[:-1])
 
 
 def measures_of(half_width_m: float, radius_m: float) -> Float[np.ndarray, "2"]:
-    """Constants of a scene, of a size that networks read easily; zero for a bowl's frame."""
+    """Scene constants, scaled for the inputs of networks; the first is zero for bowls."""
     return np.array([5 * (half_width_m - BOWL_HALF_WIDTH_M), 5 * radius_m])
 
 
 def radius_of(measures: Tensor) -> Tensor:
-    """Ball radius [..., 1] in halves of the frame, from what :func:`measures_of` made."""
+    """Ball radius [..., 1] in halves of the frame, from the constants of :func:`measures_of`."""
     scale, radius = measures.split(1, dim=-1)
     return (radius / 5) / (BOWL_HALF_WIDTH_M + scale / 5)
 
 
-def rise_along(lean: Tensor, flat_velocity: Tensor) -> Tensor:
-    """Rise [..., 1] that keeps a ball on its ground: no velocity along the normal."""
-    upright = (1 - lean.square().sum(dim=-1, keepdim=True)).clamp(min=STEEPEST**2).sqrt()
-    return -(lean * flat_velocity).sum(dim=-1, keepdim=True) / upright
+def rise_along(normal_xy: Tensor, flat_velocity: Tensor) -> Tensor:
+    """Vertical velocity [..., 1] of a ball on the ground: no velocity along the normal."""
+    normal_z = (1 - normal_xy.square().sum(dim=-1, keepdim=True)).clamp(min=STEEPEST**2).sqrt()
+    return -(normal_xy * flat_velocity).sum(dim=-1, keepdim=True) / normal_z
 
 
-def rolling_spin(lean: Tensor, velocity: Tensor, radius: Tensor) -> Tensor:
-    """Spin [..., 3] of a ball that rolls without slipping: omega = n x v / r.
+def rolling_spin(normal_xy: Tensor, velocity: Tensor, radius: Tensor) -> Tensor:
+    """Angular velocity [..., 3] of a ball that rolls without slipping: omega = n x v / r.
 
     Parameters
     ----------
-    lean
+    normal_xy
         Image x and y of the ground's unit normal [..., 2].
     velocity
-        [..., 3] a frame, image axes.
+        Displacement [..., 3] per frame, image axes.
     radius
-        [..., 1].
+        Radius [..., 1], halves of the frame.
 
     Returns
     -------
     Units of 20 rad/s, world axes: world y is image -y.
     """
-    upright = (1 - lean.square().sum(dim=-1)).clamp(min=0).sqrt()
-    (nx, ny), (vx, vy, vz) = lean.unbind(-1), velocity.unbind(-1)
-    turned = torch.stack(
-        [-ny * vz + upright * vy, upright * vx - nx * vz, -nx * vy + ny * vx], dim=-1
-    )
+    nz = (1 - normal_xy.square().sum(dim=-1)).clamp(min=0).sqrt()
+    (nx, ny), (vx, vy, vz) = normal_xy.unbind(-1), velocity.unbind(-1)
+    turned = torch.stack([-ny * vz + nz * vy, nz * vx - nx * vz, -nx * vy + ny * vx], dim=-1)
     return turned * (FRAME_RATE_HZ / ANGULAR_VELOCITY_UNIT) / radius.clamp(min=SMALLEST_RADIUS)
 
 
 def sampled(ground_B3GG: Tensor, points_BMA2: Tensor) -> Tensor:
-    """Ground [B, M, A, 3] at image points, bilinear; beyond the frame its border goes on."""
+    """Ground map [B, M, A, 3] at image points, bilinear; outside the frame, that of its border."""
     values = functional.grid_sample(
         ground_B3GG, points_BMA2, padding_mode="border", align_corners=False
     )
     return values.permute(0, 2, 3, 1)
 
 
-class FirstLook(nn.Module):
-    """Whole frames to ground, measures and rough positions: down to 8 x 8 cells and up again.
+class CoarseDetector(nn.Module):
+    """Whole frames to ground map, scene constants and approximate positions, through 8 x 8 cells.
 
-    Every pixel also tells its place: a bowl's ground is a function of little else.
+    The inputs include the coordinates of every pixel, which mostly determine a bowl's ground.
+
+    Parameters
+    ----------
+    objects
+        Number of balls.
     """
 
     place: Tensor
@@ -116,7 +119,7 @@ class FirstLook(nn.Module):
     def __init__(self, objects: int) -> None:
         super().__init__()
         fine, middle, coarse = 48, 96, 128
-        self.seen = (objects, OBSERVED_FRAMES)
+        self.shape = (objects, OBSERVED_FRAMES)
         self.register_buffer("place", cell_centres(NETWORK_FRAME_SIZE)[None], persistent=False)
         self.stem = nn.Sequential(
             nn.Conv2d(3 * OBSERVED_FRAMES + 2, fine, 8, stride=4, padding=2),
@@ -142,12 +145,12 @@ class FirstLook(nn.Module):
         self.measures = nn.Linear(coarse, 2)
 
     def forward(self, frames_BKHW3: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Positions [B, N, K, 2] in the seen frames, ground [B, 3, 32, 32] and measures [B, 2]."""
+        """Positions [B, N, K, 2], ground map [B, 3, 32, 32] and scene constants [B, 2]."""
         ground, measures, _, at_16 = self.trunk(frames_BKHW3)
-        return _attended(self.where(at_16), self.seen), ground, measures
+        return _attended(self.where(at_16), self.shape), ground, measures
 
     def trunk(self, frames_BKHW3: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Ground, measures, and the rectified features at 32 x 32 and at 16 x 16 cells."""
+        """Ground map, scene constants, and rectified features of 32 x 32 and of 16 x 16 cells."""
         image = normalised_frames(frames_BKHW3)
         image = torch.cat([image, self.place.expand(image.shape[0], -1, -1, -1)], dim=1)
         image = image.contiguous(memory_format=torch.channels_last)
@@ -163,7 +166,7 @@ class FirstLook(nn.Module):
 
 
 def patch_layers(size: int) -> nn.Sequential:
-    """Return the layers that read the patches of a ball, ``size`` samples wide, to [256]."""
+    """Return the layers from the patches of a ball, ``size`` samples wide, to features [256]."""
     return nn.Sequential(
         nn.Conv2d(3 * OBSERVED_FRAMES, 64, 5, stride=2, padding=2),
         ResidualConv(64, 64),
@@ -180,14 +183,13 @@ def patch_layers(size: int) -> nn.Sequential:
     )
 
 
-class CloserLook(nn.Module):
-    """Patches around the balls, all frames of one ball side by side, to corrections of positions.
+class PositionRefiner(nn.Module):
+    """Patches around the balls, all frames of one ball stacked, to corrections of positions.
 
     Parameters
     ----------
     features
-        Numbers that say what else the patches show: how the ball turns, where it is hidden. There
-        may be none.
+        Size of the features of other properties, such as rotation and occlusion; may be 0.
     """
 
     grid: Tensor
@@ -210,47 +212,47 @@ class CloserLook(nn.Module):
         Parameters
         ----------
         zoom_BN
-            Half-width of every ball's patch relative to the usual one; corrections scale with it.
+            Half-width of every ball's patch relative to the default; corrections scale with it.
         """
         batch, objects, frames = around_BNK2.shape[:3]
-        # The correction is what learns, not the way to a better patch.
+        # Only the correction is trained, not the position of the patch.
         centres = around_BNK2.detach()
         grid = self.grid
         if zoom_BN is not None:
             zooms = zoom_BN[:, None].expand(-1, frames, -1).flatten(0, 1)
             grid = zooms[..., None, None, None] * grid
         grid = grid + centres.transpose(1, 2).flatten(0, 1)[:, :, None, None]
-        # Balls lie below one another: one sampling a frame serves all of them.
+        # The patches of all balls form one column, so that each frame is sampled once.
         patches = functional.grid_sample(
             images_BK3HW.flatten(0, 1), grid.flatten(1, 2),
             padding_mode="border", align_corners=False,
         )  # fmt: skip
         patches = patches.reshape(batch, frames, 3, objects, PATCH, PATCH)
         stacked = patches.permute(0, 3, 1, 2, 4, 5).reshape(-1, 3 * frames, PATCH, PATCH)
-        seen = self.layers(stacked.contiguous(memory_format=torch.channels_last))
-        correction = self.correction(seen).float().reshape(batch, objects, frames, 2)
+        hidden = self.layers(stacked.contiguous(memory_format=torch.channels_last))
+        correction = self.correction(hidden).float().reshape(batch, objects, frames, 2)
         if zoom_BN is not None:
             correction = correction * zoom_BN[..., None, None]
         corrected = centres + correction
         if self.features is None:
             return corrected, correction.new_zeros(batch, objects, 0)
-        return corrected, self.features(seen).float().reshape(batch, objects, -1)
+        return corrected, self.features(hidden).float().reshape(batch, objects, -1)
 
 
-class ZoomedLook(nn.Module):
-    """A last look at a patch that the ball just fills, whatever its size."""
+class ZoomedRefiner(nn.Module):
+    """Radii of the balls, and a refinement of their positions on patches of that size."""
 
     def __init__(self) -> None:
         super().__init__()
         self.size = nn.Linear(FEATURES, 1)
         nn.init.zeros_(self.size.weight)
         nn.init.zeros_(self.size.bias)
-        self.look = CloserLook(0)
+        self.look = PositionRefiner(0)
 
     def forward(
         self, images_BK3HW: Tensor, around_BNK2: Tensor, features_BNF: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Corrected positions [B, N, K, 2] and radii [B, N], halves of the frame."""
+        """Corrected positions [B, N, K, 2] and radii [B, N], in halves of the frame."""
         radii = USUAL_RADIUS * of_each(self.size, features_BNF)[..., 0].exp()
         radii = radii.clamp(SMALLEST_SEEN, LARGEST_SEEN)
         zoom = (radii.detach() + ZOOM_MARGIN) / PATCH_HALF_WIDTH
@@ -258,71 +260,77 @@ class ZoomedLook(nn.Module):
         return positions, radii
 
 
-class Eye(nn.Module):
-    """First look, two closer looks, and the state at t = 0 from what they found.
+class Perception(nn.Module):
+    """Coarse detector, two passes of the refiner, and the states of the balls at t = 0.
 
-    The closer look is the same network twice: the second time its patches are centred already.
-    Rise and spin are read as what differs from rolling along the ground without slipping.
+    Both passes of the refiner have the same weights; the patches of the second one are centred.
+    Vertical and angular velocities are predicted as differences from rolling without slipping.
 
     Parameters
     ----------
+    objects
+        Number of balls.
     zoomed
-        The last look, where there is one.
+        Refiner of a third pass, which measures radii, or None.
     """
 
-    def __init__(self, objects: int, zoomed: ZoomedLook | None = None) -> None:
+    def __init__(self, objects: int, zoomed: ZoomedRefiner | None = None) -> None:
         super().__init__()
-        self.first = FirstLook(objects)
-        self.closer = CloserLook(FEATURES)
-        seen = FEATURES + 2 * (OBSERVED_FRAMES - 1) + 2 + 3 * len(SAMPLE_AHEAD) + 2 + 4
+        self.first = CoarseDetector(objects)
+        self.closer = PositionRefiner(FEATURES)
+        size = FEATURES + 2 * (OBSERVED_FRAMES - 1) + 2 + 3 * len(SAMPLE_AHEAD) + 2 + 4
         self.state = nn.Sequential(
-            nn.Linear(seen, 192), nn.SiLU(), nn.Linear(192, 192), nn.SiLU(), nn.Linear(192, 9)
+            nn.Linear(size, 192), nn.SiLU(), nn.Linear(192, 192), nn.SiLU(), nn.Linear(192, 9)
         )
         self.zoomed = zoomed
 
     def forward(self, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None) -> PerceptionOutput:
-        """Look at the observed frames uint8 [B, 4, 128, 128, 3].
+        """Ground map and ball states from the observed frames uint8 [B, 4, 128, 128, 3].
 
         Parameters
         ----------
         prompts_BN2
-            Rough places, in the last frame, of the balls that are meant, halves of the frame; NaN
-            where the first look finds the ball by itself.
+            Approximate positions of the selected balls in the last frame, halves of the frame; NaN
+            for balls that the coarse detector finds.
         """
-        looks, features, ground, measures, radii = self._look(frames_BKHW3, prompts_BN2)
-        exact = looks[-1]
+        passes, features, ground, measures, radii = self._find(frames_BKHW3, prompts_BN2)
+        exact = passes[-1]
         with full_precision(exact.device):
             last = exact[:, :, -1]
             shifts = exact[:, :, 1:] - exact[:, :, :-1]
             ahead = torch.stack([last + a * shifts[:, :, -1] for a in SAMPLE_AHEAD], dim=2)
-            felt = sampled(ground, ahead.detach())
-            lean, scale = felt[:, :, 0, :2], measures[:, None].expand(-1, last.shape[1], -1)
-            rise = rise_along(lean, shifts[:, :, -1])
+            ground_features = sampled(ground, ahead.detach())
+            normal_xy, height = ground_features[:, :, 0, :2], ground_features[:, :, 0, 2:]
+            constants = measures[:, None].expand(-1, last.shape[1], -1)
+            rise = rise_along(normal_xy, shifts[:, :, -1])
             moving = torch.cat([shifts[:, :, -1], rise], dim=-1)
-            rolling = rolling_spin(lean, moving, radius_of(scale))
-            known = [features, 10 * shifts.flatten(2), last, felt.flatten(2), scale, 10 * rise]
-            said = of_each(self.state, torch.cat([*known, rolling], dim=-1))
-            height = felt[:, :, 0, 2:] + 0.1 * said[..., 2:3]
-            centres = torch.cat([last + 0.01 * said[..., :2], height], dim=-1)
-            flat = 0.03 * said[..., 3:5]
-            velocities = moving + torch.cat([flat, 0.1 * said[..., 5:6]], dim=-1)
-            spins = rolling + said[..., 6:]
+            rolling = rolling_spin(normal_xy, moving, radius_of(constants))
+            inputs = [
+                features, 10 * shifts.flatten(2), last, ground_features.flatten(2), constants,
+                10 * rise, rolling,
+            ]  # fmt: skip
+            change = of_each(self.state, torch.cat(inputs, dim=-1))
+            height = height + 0.1 * change[..., 2:3]
+            centres = torch.cat([last + 0.01 * change[..., :2], height], dim=-1)
+            flat = 0.03 * change[..., 3:5]
+            velocities = moving + torch.cat([flat, 0.1 * change[..., 5:6]], dim=-1)
+            spins = rolling + change[..., 6:]
         return PerceptionOutput(
-            looks, ground, measures, centres, velocities, spins, features, radii
+            passes, ground, measures, centres, velocities, spins, features, radii
         )
 
     def at_rest(self, frame_BHW3: Tensor) -> Tensor:
-        """Positions [B, N, 2] in a single frame, seen as four of balls that stay put.
+        """Positions [B, N, 2] in a single frame, which is repeated as for balls at rest.
 
-        Nothing is learned for it: balls that come to rest are in every training.
+        No training is specific to this; every training contains balls at rest.
         """
-        looks, *_ = self._look(frame_BHW3[:, None].expand(-1, OBSERVED_FRAMES, -1, -1, -1))
-        return looks[-1][:, :, -1]
+        passes, *_ = self._find(frame_BHW3[:, None].expand(-1, OBSERVED_FRAMES, -1, -1, -1))
+        return passes[-1][:, :, -1]
 
-    def _look(
+    def _find(
         self, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None
     ) -> tuple[tuple[Tensor, ...], Tensor, Tensor, Tensor, Tensor | None]:
-        """Positions by look, features of the closer ones, ground, measures, radii if zoomed."""
+        """Positions after each pass, features, ground map, scene constants, radii if zoomed."""
         rough, ground, measures = self.first(frames_BKHW3)
         if prompts_BN2 is not None:
             prompts = prompts_BN2[:, :, None].expand_as(rough)
@@ -337,27 +345,27 @@ class Eye(nn.Module):
 
 
 class PerceptionNetwork(Network):
-    """A network whose first state is made of what its only eye reads."""
+    """Base of networks whose initial state comes from the outputs of one perception."""
 
     @abstractmethod
     def begin(self, reading: PerceptionOutput, finals_BN2: Tensor | None) -> State:
-        """h_0 from a reading and, where a final frame is seen, the positions there."""
+        """h_0 from perception outputs and, with a final frame, the positions there."""
 
 
-def looked(
-    eye: Eye, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None
+def perceive(
+    perception: Perception, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None
 ) -> tuple[PerceptionOutput, Tensor | None]:
-    """Read the observed frames, and positions [B, N, 2] in a final one where there is one."""
-    reading: PerceptionOutput = eye(frames_BKHW3[:, :OBSERVED_FRAMES], prompts_BN2)
+    """Return the outputs for the observed frames, and final positions [B, N, 2] if given."""
+    reading: PerceptionOutput = perception(frames_BKHW3[:, :OBSERVED_FRAMES], prompts_BN2)
     if frames_BKHW3.shape[1] == OBSERVED_FRAMES:
         return reading, None
-    return reading, eye.at_rest(frames_BKHW3[:, OBSERVED_FRAMES])
+    return reading, perception.at_rest(frames_BKHW3[:, OBSERVED_FRAMES])
 
 
-def _attended(values: Tensor, seen: tuple[int, int]) -> Tensor:
-    """Positions [B, N, K, 2] that cells propose relative to themselves, weighed by a softmax."""
+def _attended(values: Tensor, shape: tuple[int, int]) -> Tensor:
+    """Positions [B, N, K, 2]: the softmax-weighted mean of the cells' proposals."""
     cells = values.shape[-1]
-    proposals = values.float().unflatten(1, (*seen, 3))
+    proposals = values.float().unflatten(1, (*shape, 3))
     centres = cell_centres(cells).to(values.device)
     weights = proposals[:, :, :, 0].flatten(3).softmax(dim=-1)
     points = proposals[:, :, :, 1:] * (2 / cells) + centres

@@ -1,8 +1,8 @@
-"""The sighted preset: a convolutional state that begins with what a taught eye reads.
+"""The sighted preset: a convolutional state initialised from the outputs of perception.
 
-The eye is FieldNet's (``eye.py``). What it reads of the ground and of the balls is spread over the
-8 x 8 cells; from there on the state is learned, as in the compact preset, whose heads it shares.
-States can be spread from the truth as well, so transition and heads train without any image.
+Perception is FieldNet's (``perception.py``), pretrained. Ground map and ball states are spread over
+8 x 8 cells. From there on the state is learned, as in the compact preset, whose heads are reused.
+True states can be spread in the same way, so transition and heads also train without images.
 """
 
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ from training.networks.blocks import (
 )
 from training.networks.compact import CHANNELS, composed
 from training.networks.fieldnet import Ball, seen_state
-from training.networks.perception import Eye, PerceptionNetwork, looked
+from training.networks.perception import Perception, PerceptionNetwork, perceive
 from training.networks.recurrent import (
     Family,
     InitialState,
@@ -34,13 +34,21 @@ from training.networks.recurrent import (
 from training.networks.task import Task
 
 FOLD = 4
-"""The ground's 32 x 32 cells are folded into the state's 8 x 8: so many a side go into one."""
+"""Cells of the ground map (32 x 32) per cell of the state (8 x 8), along each side."""
 
 
 class Spread(nn.Module):
-    """What is known of ground and balls, over the cells of s_0 [B, N, C, 8, 8].
+    """Ground map and ball states to s_0 [B, N, C, 8, 8].
 
-    Every cell knows its own ground, every ball's numbers, and where the ball is from there.
+    The inputs of a cell are its part of the ground map, the ball's state, and the ball's position
+    relative to the cell.
+
+    Parameters
+    ----------
+    channels
+        Channels C of the state.
+    final
+        Presence of a final frame in the input.
     """
 
     places: Tensor
@@ -49,94 +57,104 @@ class Spread(nn.Module):
         super().__init__()
         self.register_buffer("places", cell_centres(), persistent=False)
         points = 2 if final else 1
-        known = 3 * FOLD**2 + 2 + 2 + 2 * 7 + points * (2 + 1)
+        size = 3 * FOLD**2 + 2 + 2 + 2 * 7 + points * (2 + 1)
         self.layers = nn.Sequential(
-            nn.Conv2d(known, channels, 1), nn.ReLU(), nn.Conv2d(channels, channels, 1)
+            nn.Conv2d(size, channels, 1), nn.ReLU(), nn.Conv2d(channels, channels, 1)
         )
         self.norm = ChannelNorm()
 
-    def forward(self, sight: InitialState) -> Tensor:
-        """s_0 of a sight."""
-        ball = Ball.unpacked(sight.state.p)
+    def forward(self, initial: InitialState) -> Tensor:
+        """s_0 of an initial state."""
+        ball = Ball.unpacked(initial.state.p)
         numbers = torch.cat([ball.centre[..., 2:], 10 * ball.velocity, ball.spin], dim=-1)
         everywhere = torch.cat([numbers, ball.measures], dim=-1)[..., None, None]
         batch, objects = everywhere.shape[:2]
-        ground = functional.pixel_unshuffle(sight.state.s, FOLD)[:, None]
-        here = self._from_cells(ball.centre[..., :2])
-        known = [
+        ground = functional.pixel_unshuffle(initial.state.s, FOLD)[:, None]
+        relative = self._from_cells(ball.centre[..., :2])
+        inputs = [
             ground.expand(-1, objects, -1, -1, -1),
             everywhere.expand(-1, -1, -1, GRID, GRID),
             self.places.expand(batch, objects, -1, -1, -1),
-            here,
-            here[:, :, 2:] * numbers[..., None, None],
-            *([] if sight.finals is None else [self._from_cells(sight.finals)]),
+            relative,
+            relative[:, :, 2:] * numbers[..., None, None],
+            *([] if initial.finals is None else [self._from_cells(initial.finals)]),
         ]
-        cells = torch.cat(known, dim=2).flatten(0, 1)
+        cells = torch.cat(inputs, dim=2).flatten(0, 1)
         return self.norm(self.layers(cells)).unflatten(0, (batch, objects))
 
     def _from_cells(self, points_BN2: Tensor) -> Tensor:
-        """Way from every cell to a point, in cells, and how near it is [B, N, 3, 8, 8]."""
-        way = (points_BN2[..., None, None] - self.places) * (GRID / 2)
-        near = (-0.5 * way.square().sum(dim=2, keepdim=True)).exp()
-        return torch.cat([way, near], dim=2)
+        """Offset from every cell to a point, in cells, and proximity [B, N, 3, 8, 8]."""
+        offset = (points_BN2[..., None, None] - self.places) * (GRID / 2)
+        near = (-0.5 * offset.square().sum(dim=2, keepdim=True)).exp()
+        return torch.cat([offset, near], dim=2)
 
 
-class SightedEncoder(nn.Module):
-    """Frames to s_0 through an eye that has been taught what to read."""
+class PerceptionStateEncoder(nn.Module):
+    """Frames to s_0 through a pretrained perception.
+
+    Parameters
+    ----------
+    task
+        Inputs and outputs of the network.
+    channels
+        Channels of the state.
+    """
 
     def __init__(self, task: Task, channels: int) -> None:
         super().__init__()
-        self.eye = Eye(task.objects)
+        self.eye = Perception(task.objects)
         self.spread = Spread(channels, final=task.final_step is not None)
 
     def forward(self, frames_BKHW3: Tensor) -> Tensor:
         """Frames uint8 to s_0."""
-        return self.begin(self.look(frames_BKHW3))
+        return self.begin(self.initial_state(frames_BKHW3))
 
-    def look(self, frames_BKHW3: Tensor) -> InitialState:
-        """Return what the eye reads."""
-        return sight_of(*looked(self.eye, frames_BKHW3))
+    def initial_state(self, frames_BKHW3: Tensor) -> InitialState:
+        """Return the initial state that perception finds in the frames."""
+        return initial_state_of(*perceive(self.eye, frames_BKHW3))
 
-    def begin(self, sight: InitialState) -> Tensor:
-        """s_0 of what was read, or of the truth."""
-        with full_precision(sight.state.p.device):
-            return self.spread(sight)
+    def begin(self, initial: InitialState) -> Tensor:
+        """s_0 of an initial state, from perception or true."""
+        with full_precision(initial.state.p.device):
+            return self.spread(initial)
 
 
-def sight_of(reading: PerceptionOutput, finals_BN2: Tensor | None) -> InitialState:
-    """Return what a forecast begins with, from what an eye read; nothing is doubted yet."""
+def initial_state_of(reading: PerceptionOutput, finals_BN2: Tensor | None) -> InitialState:
+    """Return the initial state of a forecast; its covariance parameters are zero and not used."""
     return InitialState(seen_state(reading, torch.zeros_like(reading.centres)), finals_BN2)
 
 
 class AttendedTransition(nn.Module):
-    """s_{t+1} = phi_s(s_t): convolutions, and a perceptron that reads and writes where it attends.
+    """s_{t+1} = phi_s(s_t): convolutions, and a perceptron with attention over the cells.
 
-    Convolutions carry what is local; how a ball moves depends on few numbers of few cells, which
-    the perceptron gathers by a softmax over the cells, and adds its answer where a second one says.
+    Convolutions compute local changes. A ball's motion depends on a few values of a few cells: the
+    perceptron gathers them with one softmax over the cells and writes its output with another.
 
     Parameters
     ----------
+    channels
+        Channels of the state.
     interaction
-        What lets the balls know of each other; None moves each alone.
+        Interaction between balls; None moves each ball independently.
     """
 
     places: Tensor
     points = 4
-    """Places at which a state is read and written."""
+    """Number of positions at which a state is read and written."""
 
     def __init__(self, channels: int, interaction: ObjectInteraction | None = None) -> None:
         super().__init__()
         narrow, wide = 64, 256
         self.interaction = interaction
         self.register_buffer("places", cell_centres()[None], persistent=False)
-        seen = channels if interaction is None else 2 * channels
-        self.first = nn.Conv2d(seen, narrow, 3, padding=1)
+        inputs = channels if interaction is None else 2 * channels
+        self.first = nn.Conv2d(inputs, narrow, 3, padding=1)
         self.second = nn.Conv2d(narrow, channels, 3, padding=1)
         self.where = nn.Sequential(
-            nn.Conv2d(seen + 2, narrow, 1), nn.ReLU(), nn.Conv2d(narrow, 2 * self.points, 1)
+            nn.Conv2d(inputs + 2, narrow, 1), nn.ReLU(), nn.Conv2d(narrow, 2 * self.points, 1)
         )
         self.answer = nn.Sequential(
-            nn.Linear(self.points * seen, wide), nn.SiLU(),
+            nn.Linear(self.points * inputs, wide), nn.SiLU(),
             nn.Linear(wide, wide), nn.SiLU(),
             nn.Linear(wide, self.points * channels),
         )  # fmt: skip
@@ -149,57 +167,57 @@ class AttendedTransition(nn.Module):
         """s_t to s_{t+1}."""
         batch, objects = s_BNCHW.shape[:2]
         s = s_BNCHW.flatten(0, 1)
-        seen = s if self.interaction is None else self.interaction(s_BNCHW).flatten(0, 1)
-        change = self.second(functional.relu(self.first(functional.relu(seen))))
-        # What is added up over a rollout needs more digits than bfloat16 has.
+        inputs = s if self.interaction is None else self.interaction(s_BNCHW).flatten(0, 1)
+        change = self.second(functional.relu(self.first(functional.relu(inputs))))
+        # Changes add up over a rollout; bfloat16 is not precise enough for the sum.
         with full_precision(s.device):
-            attended = self._attended(seen)
+            attended = self._attended(inputs)
         return self.norm(s + change.float() + attended).unflatten(0, (batch, objects))
 
-    def _attended(self, seen: Tensor) -> Tensor:
-        """Change [B N, C, 8, 8] that the perceptron makes."""
-        places = self.places.expand(seen.shape[0], -1, -1, -1)
-        # What there is of other balls comes last: a ball's weights serve several, widened.
-        logits = self.where(torch.cat([places, seen], dim=1)).flatten(2)
+    def _attended(self, inputs: Tensor) -> Tensor:
+        """Change [B N, C, 8, 8] by the perceptron."""
+        places = self.places.expand(inputs.shape[0], -1, -1, -1)
+        # Channels of the other balls come last, so that the weights of one ball can be widened.
+        logits = self.where(torch.cat([places, inputs], dim=1)).flatten(2)
         reading, writing = logits.softmax(dim=-1).chunk(2, dim=1)
-        read = seen.flatten(2) @ reading.transpose(1, 2)
+        read = inputs.flatten(2) @ reading.transpose(1, 2)
         answer = self.answer(read.flatten(1)).unflatten(1, (self.points, -1))
         return (GRID * answer.transpose(1, 2) @ writing).unflatten(2, (GRID, GRID))
 
 
-class SightedPredictor(Predictor, PerceptionNetwork):
-    """A predictor over a sighted state."""
+class PerceptionStatePredictor(Predictor, PerceptionNetwork):
+    """Predictor on a state that perception initialises."""
 
     def begin(self, reading: PerceptionOutput, finals_BN2: Tensor | None) -> State:
-        """h_0 from what the eye read."""
-        assert isinstance(self.encoder, SightedEncoder)
-        s = self.encoder.begin(sight_of(reading, finals_BN2))
+        """h_0 from the outputs of perception."""
+        assert isinstance(self.encoder, PerceptionStateEncoder)
+        s = self.encoder.begin(initial_state_of(reading, finals_BN2))
         return State(s, self.motion.start(s))
 
 
-class SightedFamily(SharedStateFamily, PerceptionFamily):
-    """Predictors over one sighted state."""
+class PerceptionStateFamily(SharedStateFamily, PerceptionFamily):
+    """Predictors on one shared state that perception initialises."""
 
     @property
-    def encoder(self) -> SightedEncoder:
-        """What all members share."""
+    def encoder(self) -> PerceptionStateEncoder:
+        """Encoder that all members share."""
         encoder = next(iter(self.predictors().values())).encoder
-        assert isinstance(encoder, SightedEncoder)
+        assert isinstance(encoder, PerceptionStateEncoder)
         return encoder
 
-    def sight(self, frames_BKHW3: Tensor) -> InitialState:
-        """Return what the eye reads of the frames."""
-        return self.encoder.look(frames_BKHW3)
+    def initial_state(self, frames_BKHW3: Tensor) -> InitialState:
+        """Return the initial state that perception finds in the frames."""
+        return self.encoder.initial_state(frames_BKHW3)
 
-    def forecast_from(self, sight: InitialState, horizon: int) -> dict[str, Observation]:
+    def forecast_from(self, initial: InitialState, horizon: int) -> dict[str, Observation]:
         """Observations of the steps 0..horizon-1 of every member."""
-        return self.roll_out(self.encoder.begin(sight), horizon)
+        return self.roll_out(self.encoder.begin(initial), horizon)
 
 
-def sighted_family(variants: Mapping[str, str], task: Task) -> Family:
+def perception_state_family(variants: Mapping[str, str], task: Task) -> Family:
     """Make a family in the sighted preset (see :class:`training.networks.presets.Preset`)."""
-    encoder = SightedEncoder(task, CHANNELS)
-    met = ObjectInteraction() if task.meetings else None
-    transition = AttendedTransition(CHANNELS, met)
-    spin = task.angular_velocity
-    return SightedFamily(composed(variants, encoder, transition, spin=spin, kind=SightedPredictor))
+    encoder = PerceptionStateEncoder(task, CHANNELS)
+    interaction = ObjectInteraction() if task.meetings else None
+    transition = AttendedTransition(CHANNELS, interaction)
+    spin, kind = task.angular_velocity, PerceptionStatePredictor
+    return PerceptionStateFamily(composed(variants, encoder, transition, spin=spin, kind=kind))

@@ -5,7 +5,7 @@ from typing import Protocol
 
 from training.networks.compact import compact_family
 from training.networks.fieldnet import field_family, zoomed_family
-from training.networks.perception_state import sighted_family
+from training.networks.perception_state import perception_state_family
 from training.networks.recurrent import Family
 from training.networks.task import Task
 from training.networks.vgg import paper_family
@@ -30,5 +30,5 @@ PRESETS: Mapping[str, Preset] = {
     "paper": paper_family,
     "field": field_family,
     "zoomed": zoomed_family,
-    "sighted": sighted_family,
+    "sighted": perception_state_family,
 }

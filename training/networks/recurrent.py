@@ -12,7 +12,7 @@ from rollcast.outputs import OUTPUTS, SPECS, OutputName
 from training.networks.blocks import PIXEL_UNIT
 
 ANGULAR_VELOCITY_UNIT = 20.0
-"""rad/s per unit of the networks' read-out; unscaled, its loss would drown the positions'."""
+"""rad/s per unit of the networks' read-out; unscaled, its loss would dominate that of positions."""
 
 LARGEST_VARIANCE_PX2 = 100.0
 SMALLEST_VARIANCE_PX2 = 0.01
@@ -21,7 +21,7 @@ SMALLEST_VARIANCE_PX2 = 0.01
 class State(NamedTuple):
     """h_t = (s_t, p_t): distributed state [B, N, C, 8, 8] and motion state [B, N, P].
 
-    A network with an explicit state keeps its map of the ground [B, 3, G, G] as s.
+    In networks with an explicit state, s is the ground map [B, 3, G, G].
     """
 
     s: Tensor
@@ -29,44 +29,45 @@ class State(NamedTuple):
 
 
 class InitialState(NamedTuple):
-    """What a forecast of a network with an eye begins with: read of the frames, or true."""
+    """Initial state of a forecast of a network with perception, from frames or true."""
 
     state: State
-    """A map of the ground, and every ball's numbers (``fieldnet.py``)."""
+    """Ground map, and the state of every ball (``fieldnet.py``)."""
     finals: Tensor | None = None
-    """Image points [B, N, 2] of the balls in the final frame, halves of the frame; None where none
-    is seen, or where the state knows them."""
+    """Image points [B, N, 2] of the balls in the final frame, halves of the frame; None without a
+    final frame, or if the state contains them."""
 
 
 class PerceptionOutput(NamedTuple):
-    """What an eye reads from the frames (``eye.py``); a forecast carries it for its loss alone.
+    """Outputs of perception (``perception.py``); an observation carries them for their loss.
 
-    Halves of the frame in image axes (x right, y down, z towards the camera); rad/s / 20.
+    Units are halves of the frame in image axes (x right, y down, z towards the camera), frames, and
+    20 rad/s.
     """
 
     seen_positions: tuple[Tensor, ...]
-    """[B, N, K, 2] in the seen frames: the first look, closer ones, and a zoomed one."""
+    """Positions [B, N, K, 2] in the observed frames, after each pass: coarse, refined, zoomed."""
     ground: Tensor
-    """[B, 3, G, G]: where a ball's centre can rest, see ``training.data.rest_height_map``."""
+    """Map [B, 3, G, G] of the resting heights, see ``training.data.rest_height_map``."""
     measures: Tensor
-    """[B, 2]: see :func:`training.networks.perception.measures_of`."""
+    """Scene constants [B, 2], see :func:`training.networks.perception.measures_of`."""
     centres: Tensor
-    """[B, N, 3] at t = 0."""
+    """Positions [B, N, 3] of the centres at t = 0."""
     velocities: Tensor
-    """[B, N, 3] at t = 0, a frame."""
+    """Displacements [B, N, 3] per frame at t = 0."""
     spins: Tensor
-    """[B, N, 3] at t = 0, world axes."""
+    """Angular velocities [B, N, 3] at t = 0, world axes."""
     features: Tensor
-    """[B, N, features]: what else the closer look shows."""
+    """Features [B, N, F] of the refiner."""
     radii: Tensor | None = None
-    """[B, N]: of the balls in the picture, where the eye has a zoomed look."""
+    """Radii [B, N] of the balls in the frame, for perception with a zoomed refiner."""
 
 
 class Observation(NamedTuple):
-    """What a state says: 128-pixel units, rad/s; None where the network has no such output.
+    """Outputs of a state, in 128-pixel units and rad/s; None for outputs the network lacks.
 
     Shapes are [B, N, 2], [B, N, 2, 2] and [B, N, 3] for one step, with T after N for a rollout. The
-    final position [B, N, 2] is said by h_0 alone, once for a rollout.
+    final position [B, N, 2] is an output of h_0 only, once per rollout.
     """
 
     positions: Tensor
@@ -82,7 +83,7 @@ class Observation(NamedTuple):
 
 
 class Motion(Protocol):
-    """How the motion state p_t begins and moves on."""
+    """Initialisation and transition of the motion state p_t."""
 
     def start(self, s_0: Tensor) -> Tensor:
         """p_0 from s_0."""
@@ -110,7 +111,7 @@ class DirectMotion(nn.Module):
 
 
 class IncrementalMotion(nn.Module):
-    """p_{t+1} = p_t + phi_p(s_t); p_0 is read by a head of its own (DispNet, ProbNet)."""
+    """p_{t+1} = p_t + phi_p(s_t), with a separate read-out for p_0 (DispNet, ProbNet)."""
 
     def __init__(self, first: nn.Module, increment: nn.Module) -> None:
         super().__init__()
@@ -127,18 +128,22 @@ class IncrementalMotion(nn.Module):
 
 
 class PointOutput(nn.Module):
-    """Positions alone: p = (x, y)."""
+    """Positions without covariances: p = (x, y)."""
 
     def forward(self, p_BNP: Tensor) -> tuple[Tensor, None]:
-        """Positions, and no covariances."""
+        """Positions, and None for covariances."""
         return pixels(p_BNP[..., :2]), None
 
 
 class GaussianOutput(nn.Module):
     """Bivariate Gaussian: p = (x, y, beta_1, beta_2, theta) (paper, section 3.3).
 
-    Sigma = R(theta)^T diag(l_1, l_2) R(theta) with eigenvalues l_i = L sigmoid(beta_i) + 0.01; the
-    paper's largest, L, is 100 px^2.
+    Sigma = R(theta)^T diag(l_1, l_2) R(theta) with eigenvalues l_i = L sigmoid(beta_i) + 0.01.
+
+    Parameters
+    ----------
+    largest_px2
+        L in px^2; 100 in the paper.
     """
 
     def __init__(self, largest_px2: float = LARGEST_VARIANCE_PX2) -> None:
@@ -158,9 +163,9 @@ class GaussianOutput(nn.Module):
 
 
 class Head(NamedTuple):
-    """What tells one variant from another: how positions come from the states.
+    """Parts that differ between variants: the path from states to positions.
 
-    ``final`` reads the position in the final frame from s_0, for networks that see that frame.
+    ``final`` reads the position in the final frame from s_0, for networks with a final frame.
     """
 
     motion: Motion
@@ -169,7 +174,7 @@ class Head(NamedTuple):
 
 
 def pixels(position: Tensor) -> Tensor:
-    """Network units to 128-pixel units."""
+    """Convert positions from network units to 128-pixel units."""
     return PIXEL_UNIT + PIXEL_UNIT * position
 
 
@@ -180,11 +185,11 @@ def logit_of_variance(variance_px2: float, largest_px2: float = LARGEST_VARIANCE
 
 
 class Network(nn.Module, ABC):
-    """A recurrent network: frames to a state, state to state, state to an observation."""
+    """Recurrent network: frames to a state, state to state, state to an observation."""
 
     @abstractmethod
     def start(self, frames_BKHW3: Tensor) -> State:
-        """h_0 from the seen frames."""
+        """h_0 from the observed frames."""
 
     @abstractmethod
     def advance(self, state: State) -> State:
@@ -195,7 +200,7 @@ class Network(nn.Module, ABC):
         """Observation y_t of a state."""
 
     def observe_first(self, state: State) -> Observation:
-        """Observation of h_0, which may say more than later ones do."""
+        """Observation of h_0, which may have more outputs than later ones."""
         return self.observe(state)
 
     def forward(self, frames_BKHW3: Tensor, horizon: int) -> Observation:
@@ -203,7 +208,7 @@ class Network(nn.Module, ABC):
         return self.roll_out(self.start(frames_BKHW3), horizon)
 
     def roll_out(self, state: State, horizon: int) -> Observation:
-        """Observations of the steps 0..horizon-1 from the first state on."""
+        """Observations of the steps 0..horizon-1, from h_0 on."""
         steps = [self.observe_first(state)]
         for _ in range(horizon - 1):
             state = self.advance(state)
@@ -221,7 +226,7 @@ class Predictor(Network):
     transition
         s_t to s_{t+1}.
     head
-        Start and move of p_t; p_t to positions and covariances.
+        Initialisation and transition of p_t; p_t to positions and covariances.
     spin
         s_t to angular velocities in units of 20 rad/s, or None ("w/o ang. vel.").
     """
@@ -240,7 +245,7 @@ class Predictor(Network):
         self.spin = spin
 
     def start(self, frames_BKHW3: Tensor) -> State:
-        """h_0 from the seen frames."""
+        """h_0 from the observed frames."""
         s = self.encoder(frames_BKHW3)
         return State(s, self.motion.start(s))
 
@@ -259,7 +264,7 @@ class Predictor(Network):
         return self.observe(state)._replace(final_positions=self.final_position(state.s))
 
     def final_position(self, s_0: Tensor) -> Tensor | None:
-        """Position in the final frame, or None for a network that does not see it."""
+        """Position in the final frame, or None for networks without a final frame."""
         return None if self.final is None else pixels(self.final(s_0))
 
     def angular_velocity(self, s: Tensor) -> Tensor | None:
@@ -294,22 +299,22 @@ class Family(nn.Module):
 
 
 class PerceptionFamily(Family, ABC):
-    """Networks that can begin without frames: with what their eye read before, or the truth."""
+    """Networks that also start from an initial state instead of frames: cached or true."""
 
     @abstractmethod
-    def sight(self, frames_BKHW3: Tensor) -> InitialState:
-        """Return what the eye reads of the frames."""
+    def initial_state(self, frames_BKHW3: Tensor) -> InitialState:
+        """Return the initial state that perception finds in the frames."""
 
     @abstractmethod
-    def forecast_from(self, sight: InitialState, horizon: int) -> dict[str, Observation]:
+    def forecast_from(self, initial: InitialState, horizon: int) -> dict[str, Observation]:
         """Observations of the steps 0..horizon-1 of every member."""
 
 
 class SharedStateFamily(Family):
     """Predictors that share encoder, transition and spin read-out, rolled out together.
 
-    The distributed state is by far the larger part of the work and is the same for all of them, so
-    all are trained for little more than the price of one.
+    Most of the computation is the distributed state, which is the same for all members, so training
+    all of them costs little more than training one.
 
     Parameters
     ----------
@@ -332,7 +337,7 @@ class SharedStateFamily(Family):
         return {n: one for n, one in self.networks().items() if isinstance(one, Predictor)}
 
     def shared_parameters(self) -> list[nn.Parameter]:
-        """Return what all members share: parameters of encoder, transition and spin read-out."""
+        """Return the parameters of encoder, transition and spin read-out."""
         first = next(iter(self.predictors().values()))
         parts = (first.encoder, first.transition, first.spin)
         return [p for part in parts if part is not None for p in part.parameters()]

@@ -123,7 +123,8 @@ def test_windows_are_read_once_and_replayed(bending, tmp_path):
     readings = torch.load(tmp_path / READINGS, weights_only=True)
     assert len(readings["p"]) == len(readings["s"]) == len(readings["positions"]) == 64
     batch = next(replayed(tmp_path / READINGS, 6, 1, 3, Share()))
-    where = [int((readings["p"] == p).all(dim=(1, 2)).nonzero()) for p in batch["sight"].state.p]
+    drawn = batch["initial_state"].state.p
+    where = [int((readings["p"] == p).all(dim=(1, 2)).nonzero()) for p in drawn]
     assert torch.equal(batch["positions"], readings["positions"][where])
     shared = next(replayed(tmp_path / READINGS, 6, 1, 3, Share(1, 3)))
     assert torch.equal(shared["positions"], batch["positions"][1::3])

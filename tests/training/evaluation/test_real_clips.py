@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from training.evaluation.real_clips import FOUND_PX, clip_windows, eye_look, find
-from training.networks.perception import Eye
+from training.networks.perception import Perception
 
 WIDTH, HEIGHT, FRAMES = 192, 160, 12
 CROP = [32, 16, 128]
@@ -59,7 +59,7 @@ def test_a_prompt_begins_within_reach_of_the_ball(clips):
     setup = {"file": "ball.mp4", "crop": CROP, "targets": ["white"]}
     windows = clip_windows(clips, clips, "one", setup)
     # An untaught eye corrects nothing: it says what it was told.
-    made = find(eye_look(Eye(1).eval()), windows, prompted=True)
+    made = find(eye_look(Perception(1).eval()), windows, prompted=True)
     assert made.position_errors.max() < 6
     np.testing.assert_array_equal(made.found, made.position_errors <= max(6, FOUND_PX))
     np.testing.assert_allclose(made.displacement_errors, 3, atol=1e-4)

@@ -7,8 +7,8 @@ from training.engine.warm_start import load_fitting
 from training.networks.fieldnet import AHEAD, Ball, Encounters, FieldNet, field_family
 from training.networks.perception import (
     PATCH_HALF_WIDTH,
-    CloserLook,
-    Eye,
+    Perception,
+    PositionRefiner,
     radius_of,
     rise_along,
     rolling_spin,
@@ -147,7 +147,7 @@ def test_a_ball_that_rolls_does_not_slip(lean):
 
 def test_an_untaught_eye_takes_balls_to_be_rolling():
     torch.manual_seed(8)
-    eye = Eye(1).eval()
+    eye = Perception(1).eval()
     with torch.no_grad():
         for parameter in eye.state[-1].parameters():
             parameter.zero_()
@@ -162,7 +162,7 @@ def test_an_untaught_eye_takes_balls_to_be_rolling():
 
 def test_a_closer_look_sees_its_own_patch_alone():
     torch.manual_seed(4)
-    look = CloserLook(8).eval()
+    look = PositionRefiner(8).eval()
     with torch.no_grad():
         look.correction.weight.normal_()
     images = torch.rand(1, 4, 3, 128, 128)
@@ -308,7 +308,7 @@ def test_going_on_begins_with_the_eye_alone():
 
 
 def test_what_the_preset_cannot_make_is_refused():
-    with pytest.raises(ValueError, match="fieldnet alone"):
+    with pytest.raises(ValueError, match="only have the variant fieldnet"):
         field_family({"one": "posnet"}, Task())
 
 

@@ -13,7 +13,11 @@ from training.engine.warm_start import Initial, load_fitting
 from training.export.export import export_run
 from training.export.load import load_exported
 from training.networks.fieldnet import Ball, FieldNet, seen_state
-from training.networks.perception_state import InitialState, SightedFamily, sighted_family
+from training.networks.perception_state import (
+    InitialState,
+    PerceptionStateFamily,
+    perception_state_family,
+)
 from training.networks.recurrent import State
 from training.networks.task import Task
 from training.recipes.sighted import sighted_one_ball, sighted_one_ball_between
@@ -24,11 +28,11 @@ FRAMES = torch.randint(
 PACE = TrainerConfig(validate_every=4, checkpoint_seconds=1000, workers=0)
 
 
-def family(frames: int = 4, objects: int = 1, **options: bool) -> SightedFamily:
+def family(frames: int = 4, objects: int = 1, **options: bool) -> PerceptionStateFamily:
     torch.manual_seed(7)
     variant, final_step = ("posnet", None) if frames == 4 else ("interpnet", 39)
-    made = sighted_family({"it": variant}, Task(objects, final_step, **options))
-    assert isinstance(made, SightedFamily)
+    made = perception_state_family({"it": variant}, Task(objects, final_step, **options))
+    assert isinstance(made, PerceptionStateFamily)
     return made.eval()
 
 

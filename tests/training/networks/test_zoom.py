@@ -6,7 +6,13 @@ import torch
 
 from training.engine.warm_start import load_fitting
 from training.networks.fieldnet import FieldNet
-from training.networks.perception import LARGEST_SEEN, SMALLEST_SEEN, USUAL_RADIUS, Eye, ZoomedLook
+from training.networks.perception import (
+    LARGEST_SEEN,
+    SMALLEST_SEEN,
+    USUAL_RADIUS,
+    Perception,
+    ZoomedRefiner,
+)
 from training.networks.presets import PRESETS
 from training.networks.task import Task
 
@@ -17,9 +23,9 @@ NOWHERE = torch.full((2, 1, 2), torch.nan)
 
 
 @pytest.fixture(scope="module")
-def eye() -> Eye:
+def eye() -> Perception:
     torch.manual_seed(0)
-    return Eye(1, ZoomedLook()).eval()
+    return Perception(1, ZoomedRefiner()).eval()
 
 
 def test_a_prompt_is_where_the_closer_look_begins(eye):
@@ -50,7 +56,7 @@ def test_radii_stay_within_what_can_be_seen(eye):
 
 def test_corrections_scale_with_the_patch():
     torch.manual_seed(1)
-    look = ZoomedLook().look.eval()
+    look = ZoomedRefiner().look.eval()
     torch.nn.init.normal_(look.correction.bias)
     torch.nn.init.zeros_(look.correction.weight)
     images, around = torch.rand(1, 4, 3, 128, 128), torch.zeros(1, 1, 4, 2)
@@ -62,7 +68,7 @@ def test_corrections_scale_with_the_patch():
 
 def test_it_begins_as_a_network_without_it():
     torch.manual_seed(2)
-    plain, zoomed = FieldNet(Task()).eval(), FieldNet(Task(), ZoomedLook()).eval()
+    plain, zoomed = FieldNet(Task()).eval(), FieldNet(Task(), ZoomedRefiner()).eval()
     with torch.no_grad():
         plain.eye.closer.correction.weight.normal_(std=0.01)
     taken = load_fitting(zoomed, plain.state_dict())
@@ -72,7 +78,7 @@ def test_it_begins_as_a_network_without_it():
     torch.testing.assert_close(one.positions, other.positions)
     with torch.no_grad():
         zoomed.eye.zoomed.look.correction.bias.fill_(0.1)
-    again = FieldNet(Task(), ZoomedLook())
+    again = FieldNet(Task(), ZoomedRefiner())
     load_fitting(again, zoomed.state_dict())
     assert float(again.eye.zoomed.look.correction.bias.detach()[0]) == pytest.approx(0.1)
 
@@ -88,7 +94,7 @@ def test_it_is_a_preset_of_its_own():
 def test_every_parameter_of_it_is_used():
     """An unused one would be missing in an exported graph."""
     torch.manual_seed(3)
-    eye = Eye(1, ZoomedLook())
+    eye = Perception(1, ZoomedRefiner())
     looks, *read = eye(FRAMES)
     sum(part.square().sum() for part in (*looks, *read)).backward()
     assert all(parameter.grad is not None for parameter in eye.parameters())
