@@ -33,6 +33,7 @@ SUBJECTLESS = re.compile(r"^(What|Who|That|Those|Whether|Of|Where)\b")
 PAGES = [
     *(ROOT / f"{name}.md" for name in ("README", "ARCHITECTURE", "CHANGELOG", "SECURITY")),
     *(ROOT / "docs" / f"{name}.md" for name in ("index", "glossary", "benchmarks", "scaling")),
+    ROOT / "docs" / "reliability.md",
     ROOT / "docs" / "results.md",
     ROOT / "docs" / "reproduced.md",
     *sorted((ROOT / "docs" / "results").glob("*.md")),
@@ -41,7 +42,10 @@ PAGES = [
 WIDTH = 120
 """Characters of a line of prose. Tables, links and generated text may be longer."""
 NARROW = [
-    *(ROOT / f"{name}.md" for name in ("CHANGELOG", "SECURITY", "CONTRIBUTING")),
+    *(
+        ROOT / f"{name}.md"
+        for name in ("CHANGELOG", "SECURITY", "CONTRIBUTING", "docs/reliability")
+    ),
     *sorted((ROOT / "docs" / "guide").glob("*.md")),
 ]
 SOURCES = ("rollcast", "service", "training")

@@ -32,6 +32,12 @@ def test_every_command_is_on_the_schedule_with_a_quick_part():
             assert not path.startswith(outside), f"make test does not run {path}"
 
 
+def test_the_tests_that_the_page_names_exist():
+    named = set(re.findall(r"\btest_\w+\.py", PAGE.read_text("utf-8")))
+    assert len(named) > 30
+    assert sorted(named - {path.name for path in (ROOT / "tests").rglob("test_*.py")}) == []
+
+
 @pytest.fixture
 def checkout(tmp_path) -> Path:
     for path in (SCHEDULE, PAGE, RECORD):
