@@ -87,7 +87,7 @@ def test_it_is_a_preset_of_its_own():
     (network,) = PRESETS["zoomed"]({"fieldnet": "fieldnet"}, Task()).networks().values()
     assert isinstance(network, FieldNet)
     assert network.eye.zoomed is not None
-    with pytest.raises(ValueError, match="fieldnet alone"):
+    with pytest.raises(ValueError, match="only have the variant fieldnet"):
         PRESETS["zoomed"]({"posnet": "posnet"}, Task())
 
 
