@@ -77,7 +77,7 @@ def create_app(
                 figures.batches,
             ),
             simulation=Workers(
-                RecycledProcess(settings.simulation_recycle, settings.simulation_timeout_s),
+                RecycledProcess(settings.simulation_timeout_s),
                 1 + settings.simulation_queue,
                 figures.in_flight.labels("simulation"),
             ),

@@ -164,15 +164,11 @@ class Settings(BaseSettings):
     simulation_queue: Annotated[int, Field(ge=0)] = 8
     """Queue length beyond the running simulation, split evenly across processes, each of which runs
     its own; further requests get 429."""
-    simulation_recycle: Annotated[int, Field(ge=1)] = 500
-    """Number of simulations after which the simulation process is replaced."""
     simulation_timeout_s: Annotated[float, Field(gt=0)] = 120
     """Time limit of a simulation. A longer one gets 504, and its process is killed and replaced."""
     max_simulated_pixels: Annotated[int, Field(ge=1)] = 16 * MEBI
     """Maximum number of pixels of one simulation, all frames together. The default is enough for
     1000 frames of 128 pixels."""
-    retry_after_s: Annotated[int, Field(ge=1)] = 1
-    """Value of the Retry-After header of rejected requests, in seconds."""
     shutdown_delay_s: Annotated[float, Field(ge=0)] = 0
     """Minimum time for which a stopping service keeps accepting connections while it reports that
     it is not ready, so that load balancers notice. It always listens until its last forecast is

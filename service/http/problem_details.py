@@ -45,7 +45,9 @@ PASSING = (
     TooManyBodiesError,
     OutOfMemoryError,
 )
-"""Refusals after which it is worth while to ask again."""
+"""Rejections that end by themselves; they carry a Retry-After header."""
+RETRY_AFTER_S = 1
+"""Seconds in that header, the least that it can say: a forecast takes a fraction of that."""
 LONGEST_VALUE = 100
 """Characters of a wrong value that are sent back."""
 LONGEST_DETAIL = 600
@@ -118,7 +120,7 @@ async def _answer(request: Request, error: Exception) -> Response:
             if isinstance(error, TooManyRequestsError):
                 headers["Retry-After"] = str(error.retry_after_s)
             if isinstance(error, PASSING):
-                headers["Retry-After"] = str(request.app.state.service.settings.retry_after_s)
+                headers["Retry-After"] = str(RETRY_AFTER_S)
         case MemoryError():
             refusal = OutOfMemoryError("There is not enough memory for this request.")
             return await _answer(request, refusal)

@@ -15,6 +15,7 @@ from ray.serve import Application
 from ray.serve.config import AutoscalingConfig, BackpressureConfig
 
 from service.app import create_app
+from service.http.problem_details import RETRY_AFTER_S
 from service.observability.log_config import configuration
 from service.settings import Settings
 
@@ -30,7 +31,7 @@ POLL_S = 0.05
     name="rollcast",
     max_ongoing_requests=MAX_ONGOING,
     max_queued_requests=256,
-    backpressure_config=BackpressureConfig(status_code=429, retry_after_s=1),
+    backpressure_config=BackpressureConfig(status_code=429, retry_after_s=RETRY_AFTER_S),
     autoscaling_config=AutoscalingConfig(
         min_replicas=1,
         max_replicas=100,

@@ -45,6 +45,11 @@ T = TypeVar("T")
 SURFACE_POINTS = 65
 """Heights along a side of the frame: every 3 cm of a bowl, every 4 cm of a heightfield."""
 
+RECYCLE_AFTER = 500
+"""Calls after which the simulation process is replaced. PyBullet leaks with every scene: with 500,
+the process stays below 130 MiB (``docs/reliability.md``), and its start of half a second is rare
+(decision 0104)."""
+
 ABANDONED_S = 0.5
 """Seconds for which a simulation goes on whose client has left: a new process costs more."""
 
@@ -140,13 +145,13 @@ class RecycledProcess:
 
     Parameters
     ----------
-    recycle_after
-        Calls after which the process is replaced.
     timeout_s
         Seconds that a call may take.
+    recycle_after
+        Calls after which the process is replaced.
     """
 
-    def __init__(self, recycle_after: int, timeout_s: float) -> None:
+    def __init__(self, timeout_s: float, recycle_after: int = RECYCLE_AFTER) -> None:
         self._thread = ThreadPoolExecutor(1, "simulation")
         self._recycle_after = recycle_after
         self._timeout_s = timeout_s

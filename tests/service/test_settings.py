@@ -22,7 +22,7 @@ def test_the_variables_of_the_training_are_left_alone(monkeypatch):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("INFERENCE_THREADS", "0"), ("RETRY_AFTER_S", "soon"), ("MODELS_DIR", "/no/such/folder")],
+    [("INFERENCE_THREADS", "0"), ("PROCESSES", "two"), ("MODELS_DIR", "/no/such/folder")],
 )
 def test_a_wrong_setting_is_refused(monkeypatch, name, value):
     monkeypatch.setenv(f"ROLLCAST_{name}", value)
@@ -42,9 +42,9 @@ def file(tmp_path, monkeypatch):
 
 
 def test_settings_come_from_a_file_too(file):
-    file.write_text("max_batch = 4\nretry_after_s = 9\n")
+    file.write_text("max_batch = 4\nprocesses = 2\n")
     settings = Settings()
-    assert (settings.max_batch, settings.retry_after_s) == (4, 9)
+    assert (settings.max_batch, settings.processes) == (4, 2)
 
 
 def test_the_environment_goes_before_the_file(file, monkeypatch):
@@ -66,7 +66,7 @@ def test_a_file_that_is_missing_is_told(file):
 
 def test_every_setting_is_told_with_its_default():
     text = described()
-    assert "ROLLCAST_RETRY_AFTER_S (default 1)\n    Value of the Retry-After" in text
+    assert "ROLLCAST_MAX_BATCH (default 16)\n    Maximum number of forecasts" in text
     assert text.count("(default ") == len(Settings.model_fields)
 
 

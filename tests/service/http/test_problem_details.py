@@ -169,9 +169,7 @@ FAILURES = {
 def client(tmp_path_factory):
     from tests.service.samples import registry
 
-    app: FastAPI = create_app(
-        Settings(models_dir=tmp_path_factory.mktemp("m"), retry_after_s=7), registry
-    )
+    app: FastAPI = create_app(Settings(models_dir=tmp_path_factory.mktemp("m")), registry)
 
     async def fail(name: str) -> None:
         raise FAILURES[name]
@@ -207,7 +205,7 @@ def test_every_failure_has_its_status_and_says_whether_to_come_again(
         assert answer.status_code == problem["status"] == status
         assert problem["type"] == f"/problems/{slug}"
         assert answer.headers["content-type"] == "application/problem+json"
-        assert answer.headers.get("retry-after") == ("7" if again else None)
+        assert answer.headers.get("retry-after") == ("1" if again else None)
         assert answer.headers["x-request-id"]
         assert "secret" not in answer.text
     by_protocol = client.get(f"/v2/fail/{name}")
