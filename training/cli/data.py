@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from rollcast import datasets
-from rollcast.scene import Scenario
+from rollcast.scene import MAX_OBJECTS, Scenario
 from rollcast.simulation import Sequence
 from training.cli.options import CORES, Workers, failed, ray_option, with_ray
 from training.data.shards import (
@@ -29,10 +29,7 @@ def add_to(app: typer.Typer) -> None:
 
 def simulate(
     scenario: Annotated[Scenario, typer.Argument()],
-    objects: Annotated[int, typer.Option(min=1, max=3, help="balls")] = 1,
-    radius: Annotated[
-        float | None, typer.Option(help="ball radius in metres (default: 0.225)")
-    ] = None,
+    num_objects: Annotated[int, typer.Option(min=1, max=MAX_OBJECTS, help="number of balls")] = 1,
     split: Annotated[Split, typer.Option()] = "training",
     scenes: Annotated[int, typer.Option(min=1)] = 1000,
     workers: Workers = CORES,
@@ -54,7 +51,7 @@ def simulate(
     ] = None,
 ) -> None:
     """Simulate scenes of a split; existing ones are kept."""
-    source = Source(scenario, objects, radius)
+    source = Source(scenario, num_objects)
     file = Path(output) if output is not None and output.endswith(".parquet") else None
     if file is None and image_size is not None:
         failed("--image-size renders frames into FILE.parquet: name it with --output")

@@ -86,9 +86,6 @@ def train(
         int | None,
         typer.Option(min=1, help="training scenes per scenario instead of the recipe's"),
     ] = None,
-    validate_every: Annotated[
-        int, typer.Option(min=1, metavar="BATCHES")
-    ] = TrainerConfig.validate_every,
     workers: Workers = CORES,
     device: Device = "auto",
     ray: Annotated[
@@ -99,7 +96,7 @@ def train(
     """Train a recipe. See HELP."""
     folder = runs_folder() / recipe
     initial = [one for start in init or () for one in initial_networks(start)]
-    config = TrainerConfig(validate_every, simulators=workers, device=device)
+    config = TrainerConfig(simulators=workers, device=device)
     image_weights = imagenet and imagenet.resolve()
     clips = footage.clips_of(recipe, data, balls)
     chosen = within(recipe_of(recipe), sequences, scenes)
