@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Literal, TypeAlias, get_args
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, create_model, model_validator
+from pydantic.fields import FieldInfo
 
 Scenario: TypeAlias = Literal["hemisphere", "ellipsoid", "heightfield", "table"]
 SCENARIOS: tuple[Scenario, ...] = get_args(Scenario)
@@ -56,13 +57,18 @@ MAX_SPIN_RAD_S = 500.0
 MAX_SLOPE = 0.2
 """Limit of a table's rise per metre along each axis."""
 
-Metres: TypeAlias = Annotated[float, Field(ge=-5, le=5)]
-Speed: TypeAlias = Annotated[float, Field(ge=-MAX_SPEED_M_S, le=MAX_SPEED_M_S)]
-Unit: TypeAlias = Annotated[float, Field(ge=-1, le=1)]
-Spin: TypeAlias = Annotated[float, Field(ge=-MAX_SPIN_RAD_S, le=MAX_SPIN_RAD_S)]
-Slope: TypeAlias = Annotated[float, Field(ge=-MAX_SLOPE, le=MAX_SLOPE)]
-Friction: TypeAlias = Annotated[float, Field(ge=0.01, le=1)]
-Restitution: TypeAlias = Annotated[float, Field(ge=0.1, le=1)]
+Number: TypeAlias = Annotated[float, Strict()]
+"""A number that is not text."""
+Metres: TypeAlias = Annotated[Number, Field(ge=-5, le=5)]
+Speed: TypeAlias = Annotated[Number, Field(ge=-MAX_SPEED_M_S, le=MAX_SPEED_M_S)]
+Unit: TypeAlias = Annotated[Number, Field(ge=-1, le=1)]
+Spin: TypeAlias = Annotated[Number, Field(ge=-MAX_SPIN_RAD_S, le=MAX_SPIN_RAD_S)]
+Slope: TypeAlias = Annotated[Number, Field(ge=-MAX_SLOPE, le=MAX_SLOPE)]
+Friction: TypeAlias = Annotated[Number, Field(ge=0.01, le=1)]
+Restitution: TypeAlias = Annotated[Number, Field(ge=0.1, le=1)]
+Item = TypeVar("Item")
+PerBall: TypeAlias = Annotated[tuple[Item, ...], Field(max_length=MAX_OBJECTS, fail_fast=True)]
+"""A value of every ball."""
 
 
 class Scene(BaseModel):
@@ -78,20 +84,20 @@ class Scene(BaseModel):
 
     scenario: Scenario
     seed: Annotated[int, Field(ge=0, le=MAX_SEED)]
-    textured: bool
+    textured: Annotated[bool, Strict()]
     """Several-coloured texture on the ball; otherwise white (one ball) or plain colours."""
-    radius_m: Annotated[float, Field(ge=0.03, le=0.25)]
+    radius_m: Annotated[Number, Field(ge=0.03, le=0.25)]
     """Radius of every ball."""
-    rotation_rad: Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]
+    rotation_rad: Annotated[Number, Field(ge=-2 * math.pi, le=2 * math.pi)]
     """Rotation of the surface about the world's z axis."""
-    axis_ratio: Annotated[float, Field(ge=0.4, le=1.0)] | None = None
+    axis_ratio: Annotated[Number, Field(ge=0.4, le=1.0)] | None = None
     """Bowls: semi-axis along the bowl's own x; the other two are 1. Drawn from 0.5 on: the largest
     ball that can touch the bottom of a bowl has the radius of the ratio's square."""
-    noise_scale: Annotated[float, Field(ge=0.2, le=0.7)] | None = None
+    noise_scale: Annotated[Number, Field(ge=0.2, le=0.7)] | None = None
     """Heightfields: side of a cell of the Perlin lattice, metres."""
     noise_offset_m: tuple[Metres, Metres] | None = None
     """Heightfields: the point of the noise plane that lies under the camera."""
-    light_position_m: tuple[Metres, Metres, Annotated[float, Field(ge=1, le=5)]] | None = None
+    light_position_m: tuple[Metres, Metres, Annotated[Number, Field(ge=1, le=5)]] | None = None
     """Heightfields: centre of the area light."""
     slope: tuple[Slope, Slope] | None = None
     """Tables: rise per metre along the world's x and y."""
@@ -102,24 +108,24 @@ class Scene(BaseModel):
     """Coulomb coefficient between balls and ground."""
     ball_friction: Friction | None = None
     """Coulomb coefficient between two balls."""
-    wall_friction: Annotated[float, Field(ge=0, le=1)] | None = None
+    wall_friction: Annotated[Number, Field(ge=0, le=1)] | None = None
     """Coulomb coefficient between balls and walls."""
-    rolling_resistance: Annotated[float, Field(ge=0, le=0.3)] | None = None
+    rolling_resistance: Annotated[Number, Field(ge=0, le=0.3)] | None = None
     """Resisting torque per normal force, in ball radii."""
-    damping: Annotated[float, Field(ge=0, le=1)] | None = None
+    damping: Annotated[Number, Field(ge=0, le=1)] | None = None
     """Air drag d: ``dv/dt = -d v (1 + |v|)``, in m/s, and likewise for the spin in rad/s."""
     ball_restitution: Restitution | None = None
     """Coefficient of restitution between two balls."""
     wall_restitution: Restitution | None = None
     """Coefficient of restitution between a ball and a wall."""
-    mass_ratios: tuple[Annotated[float, Field(ge=0.1, le=10)], ...] | None = None
+    mass_ratios: PerBall[Annotated[Number, Field(ge=0.1, le=10)]] | None = None
     """Mass of each ball relative to the others; None makes all equal."""
-    spins_rad_s: tuple[tuple[Spin, Spin, Spin], ...] | None = None
+    spins_rad_s: PerBall[tuple[Spin, Spin, Spin]] | None = None
     """Angular velocity of each ball at the start, world axes; None starts without spin."""
-    positions_m: tuple[tuple[Metres, Metres, Metres], ...]
+    positions_m: Annotated[PerBall[tuple[Metres, Metres, Metres]], Field(min_length=1)]
     """Start of each ball's centre."""
-    velocities_m_s: tuple[tuple[Speed, Speed, Speed], ...]
-    orientations_xyzw: tuple[tuple[Unit, Unit, Unit, Unit], ...]
+    velocities_m_s: PerBall[tuple[Speed, Speed, Speed]]
+    orientations_xyzw: PerBall[tuple[Unit, Unit, Unit, Unit]]
 
     @property
     def objects(self) -> int:
@@ -128,10 +134,6 @@ class Scene(BaseModel):
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
-        if not 1 <= self.objects <= MAX_OBJECTS:
-            raise ValueError(
-                f"positions_m has {self.objects} balls; 1 to {MAX_OBJECTS} are allowed"
-            )
         for name in ("velocities_m_s", "orientations_xyzw", "mass_ratios", "spins_rad_s"):
             entries = getattr(self, name)
             if entries is not None and len(entries) != self.objects:
@@ -174,3 +176,23 @@ _SHAPE_FIELDS: Mapping[Scenario, tuple[str, ...]] = {
     "table": ("slope", "walls_m"),
 }
 """Fields that a scenario needs."""
+
+
+def _optional(field: FieldInfo) -> tuple[Any, None]:
+    """Return the definition of a field that takes the same values, or None, its default."""
+    kind: Any = Annotated[field.annotation, field]
+    return kind | None if field.is_required() else kind, None
+
+
+_fields: dict[str, Any] = {name: _optional(field) for name, field in Scene.model_fields.items()}
+_AnyFields = create_model("_AnyFields", __module__=__name__, **_fields)
+
+
+class SceneParameters(_AnyFields):
+    """Any fields of a :class:`Scene`; those left out or None are sampled."""
+
+    model_config = Scene.model_config
+
+    def given(self) -> dict[str, Any]:
+        """Return the parameters that are not None, by name."""
+        return self.model_dump(exclude_none=True)

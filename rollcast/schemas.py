@@ -31,8 +31,10 @@ from rollcast.scene import (
     BallColor,
     Color,
     Domain,
+    Number,
     Scenario,
     Scene,
+    SceneParameters,
 )
 from rollcast.trajectory import OBSERVED_FRAMES
 
@@ -49,6 +51,8 @@ MAX_FRAME_SIZE = 4096
 """Sides of a frame that /predict reads, in pixels."""
 MAX_IMAGE_SIZE = 1024
 """Largest side of a frame that /simulate draws, in pixels."""
+NAMES_OF_A_SCENE = frozenset({"scenario", "seed", "textured"})
+"""Fields of a request for a scene that a returned scene has, too."""
 
 
 def _decode_base64(value: object) -> object:
@@ -77,7 +81,6 @@ def _without_point(value: object) -> object:
 
 
 Integer = Annotated[int, Strict(), BeforeValidator(_without_point)]
-Number = Annotated[float, Strict()]
 Flag = Annotated[bool, Strict()]
 ObjectCount = Annotated[Integer, Field(ge=1, le=MAX_OBJECTS)]
 EncodedImage = Annotated[
@@ -89,10 +92,7 @@ Point = tuple[Number, Number]
 Vector = tuple[Number, Number, Number]
 Matrix = tuple[Point, Point]
 Size = tuple[int, int]
-Item = TypeVar("Item")
 Body = TypeVar("Body", bound="ResponseBody")
-PerBall = Annotated[tuple[Item, ...], Field(max_length=MAX_OBJECTS, fail_fast=True)]
-"""A value of every ball."""
 
 
 class RequestBody(BaseModel):
@@ -374,41 +374,11 @@ class StreamDone(ForecastSummary):
     objects: list[StreamBall]
 
 
-class SceneParameters(RequestBody):
-    """Fields of ``rollcast.scene.Scene``, all optional; those left out or null are sampled."""
-
-    radius_m: Number | None = None
-    rotation_rad: Number | None = None
-    axis_ratio: Number | None = None
-    noise_scale: Number | None = None
-    noise_offset_m: Point | None = None
-    light_position_m: Vector | None = None
-    slope: Point | None = None
-    walls_m: tuple[Number, Number, Number, Number] | None = None
-    friction: Number | None = None
-    ball_friction: Number | None = None
-    wall_friction: Number | None = None
-    rolling_resistance: Number | None = None
-    damping: Number | None = None
-    ball_restitution: Number | None = None
-    wall_restitution: Number | None = None
-    mass_ratios: PerBall[Number] | None = None
-    spins_rad_s: PerBall[Vector] | None = None
-    positions_m: Annotated[PerBall[Vector], Field(min_length=1)] | None = None
-    velocities_m_s: PerBall[Vector] | None = None
-    orientations_xyzw: PerBall[tuple[Number, Number, Number, Number]] | None = None
-
-    def given(self) -> dict[str, Any]:
-        """Return the parameters that were given, by name."""
-        return self.model_dump(exclude_none=True)
-
-
 class SimulateRequest(RequestBody):
     """Body of ``POST /simulate``.
 
-    ``scene`` takes any subset of a scene's fields, ``scenario``, ``seed`` and ``textured``
-    included, so that a returned scene can be posted back. Each of them may instead stand beside
-    ``scene``, at the top level; one that stands in both places must be the same in both.
+    ``scene`` holds the parameters that are not sampled. A returned scene can be posted back: its
+    ``scenario``, ``seed`` and ``textured`` are those of the request, which may repeat them.
     """
 
     scenario: Scenario
@@ -427,12 +397,20 @@ class SimulateRequest(RequestBody):
     include_frames: Flag = True
     include_surface: Flag = False
     scene: SceneParameters = SceneParameters()
-    """Parameters that shall not be sampled."""
+    """Parameters of the scene that are not sampled."""
 
     @property
     def balls(self) -> int:
         """Number of balls that is asked for."""
-        return self.num_objects or len(self.scene.positions_m or (None,))
+        return self.num_objects or len(self.parameters.get("positions_m", (None,)))
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Parameters that are not sampled, by name, without scenario and seed."""
+        given = self.scene.given()
+        if self.textured is not None:
+            given["textured"] = self.textured
+        return {name: value for name, value in given.items() if name not in ("scenario", "seed")}
 
     @model_validator(mode="before")
     @classmethod
@@ -440,25 +418,28 @@ class SimulateRequest(RequestBody):
         if not isinstance(data, dict):
             return data
         body = dict(cast("dict[str, Any]", data))
-        scene = body.pop("scene", None)
+        for name in sorted(body.keys() & SceneParameters.model_fields.keys() - NAMES_OF_A_SCENE):
+            raise PydanticCustomError(
+                "misplaced",
+                "{field} is a parameter of the scene",
+                {"field": name, "value": body[name], "expected": f"scene.{name} instead"},
+            )
+        scene = body.get("scene")
         if scene is None:
-            scene = {}
+            body.pop("scene", None)
         if not isinstance(scene, dict):
-            return body | {"scene": scene}
-        inside = _without_nulls(cast("dict[str, Any]", scene))
-        beside = _without_nulls(
-            {name: body.pop(name) for name in Scene.model_fields if name in body}
-        )
-        for name in sorted(inside.keys() & beside.keys()):
-            if inside[name] != beside[name]:
+            return body
+        for name in NAMES_OF_A_SCENE & scene.keys():
+            own, value = body.get(name), cast("dict[str, Any]", scene)[name]
+            if own is None:
+                body[name] = value
+            elif value is not None and own != value:
                 raise PydanticCustomError(
                     "given_twice",
                     "{field} and scene.{field} differ",
-                    {"field": name, "value": beside[name], "expected": f"the same as scene.{name}"},
+                    {"field": name, "value": own, "expected": f"the same as scene.{name}"},
                 )
-        given = inside | beside
-        shared = {name: given.pop(name) for name in cls.model_fields if name in given}
-        return body | shared | {"scene": given}
+        return body
 
     @model_validator(mode="after")
     def _balls_agree(self) -> "SimulateRequest":
@@ -468,7 +449,7 @@ class SimulateRequest(RequestBody):
                 "several balls are told by their colour",
                 {"field": "textured", "value": True, "expected": "false with several balls"},
             )
-        positions = self.scene.positions_m
+        positions = self.parameters.get("positions_m")
         if positions is not None and len(positions) != self.balls:
             raise PydanticCustomError(
                 "balls_differ",
@@ -480,15 +461,6 @@ class SimulateRequest(RequestBody):
                 },
             )
         return self
-
-
-def _without_nulls(fields: dict[str, Any]) -> dict[str, Any]:
-    """Drop the fields of a scene that are null: a returned scene says so of those it has not."""
-    return {
-        name: value
-        for name, value in fields.items()
-        if value is not None or name not in Scene.model_fields
-    }
 
 
 class SimulatedObject(ResponseBody):

@@ -374,11 +374,11 @@ def _scene(wish: SimulateRequest) -> Scene:
     sampled: dict[str, Any] = {
         "scenario": wish.scenario,
         "seed": wish.seed,
-        "textured": wish.balls == 1 if wish.textured is None else wish.textured,
+        "textured": wish.balls == 1,
         "radius_m": 0.1,
         "rotation_rad": 0.0,
         "positions_m": [(-0.4, 0.4 - 0.4 * ball, -0.5) for ball in range(wish.balls)],
         "velocities_m_s": [(0.8, -0.3, 0.0)] * wish.balls,
         "orientations_xyzw": [(0.0, 0.0, 0.0, 1.0)] * wish.balls,
     }
-    return Scene.model_validate(sampled | shape | wish.scene.given())
+    return Scene.model_validate(sampled | shape | wish.parameters)

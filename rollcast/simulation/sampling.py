@@ -8,14 +8,14 @@ alone. What the paper leaves open is settled in docs/decisions/0014.
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from rollcast.camera import HEIGHTFIELD_HALF_WIDTH_M, TABLE_HALF_WIDTH_M
 from rollcast.errors import SceneParametersError
-from rollcast.scene import LARGE_RADIUS_M, SCENARIOS, Scenario, Scene, Vector3
+from rollcast.scene import LARGE_RADIUS_M, SCENARIOS, Scenario, Scene, SceneParameters, Vector3
 from rollcast.simulation.bullet import pybullet
 from rollcast.surfaces import Contact, EllipsoidalBowl, Heightfield, Table
 
@@ -114,25 +114,15 @@ def draw_scene(
 
 
 def _validated(fixed: Mapping[str, object]) -> dict[str, Any]:
-    """Check each fixed field alone, before other draws depend on it. None leaves a field free."""
-    checked: dict[str, Any] = {}
-    for name, value in fixed.items():
-        field = Scene.model_fields.get(name)
-        if field is None:
-            known = ", ".join(Scene.model_fields)
-            raise SceneParametersError(name, value, f"one of the scene parameters {known}")
-        if value is None:
-            continue
-        try:
-            kind: Any = field.annotation
-            if field.metadata:
-                kind = Annotated[kind, *field.metadata]
-            checked[name] = TypeAdapter(kind).validate_python(value)
-        except ValidationError as error:
-            first = error.errors()[0]
-            path = ".".join(str(part) for part in (name, *first["loc"]))
-            raise SceneParametersError(path, first["input"], first["msg"]) from error
-    return checked
+    """Check fixed fields alone, before other draws depend on them. None leaves a field free."""
+    try:
+        return SceneParameters.model_validate(dict(fixed)).given()
+    except ValidationError as error:
+        first = error.errors()[0]
+        path, expected = ".".join(map(str, first["loc"])), first["msg"]
+        if first["type"] == "extra_forbidden":
+            expected = f"one of the scene parameters {', '.join(Scene.model_fields)}"
+        raise SceneParametersError(path, first["input"], expected) from error
 
 
 def _with_starts(fields: Mapping[str, Any], starts: list[Start]) -> Scene:

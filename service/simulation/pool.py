@@ -81,16 +81,13 @@ def simulate(request: SimulateRequest) -> bytes:
     rollcast.errors.SceneParametersError, rollcast.errors.SceneRejectedError
         When no such scene exists.
     """
-    parameters = request.scene.given()
-    if request.textured is not None:
-        parameters["textured"] = request.textured
     sequence = _simulator().sequence(
         scenario=request.scenario,
         objects=request.balls,
         seed=request.seed,
         steps=request.steps,
         start_step=request.start_step,
-        parameters=parameters,
+        parameters=request.parameters,
     )
     scene, size = sequence.scene, request.image_size
     camera = camera_for(scene.scenario, size)

@@ -18,7 +18,7 @@ def test_parameters_are_those_of_the_simulated_scene(page: Page):
     with page.expect_request("**/simulate") as asked:
         page.fill("#scene-radius_m", "0.1")
         page.press("#scene-radius_m", "Tab")
-    assert asked.value.post_data_json["radius_m"] == 0.1
+    assert asked.value.post_data_json["scene"] == {"radius_m": 0.1}
     until_forecast(page)
     with page.expect_request("**/simulate") as asked:
         page.check("#scene-white")

@@ -1,11 +1,14 @@
 import base64
+import inspect
 import json
 
 import pytest
 from pydantic import ValidationError
 
+from rollcast.client import Client
+from rollcast.client.calls import SimulationOptions
 from rollcast.scene import Scene
-from rollcast.schemas import PredictRequest, SceneParameters, SimulateRequest, SimulateResponse
+from rollcast.schemas import PredictRequest, SimulateRequest, SimulateResponse
 
 IMAGE = base64.b64encode(b"an image").decode()
 
@@ -39,12 +42,6 @@ def test_numbers_are_finite(value):
         PredictRequest.model_validate({"frames": [IMAGE] * 4, "frame_rate": value})
 
 
-def test_scene_parameters_and_request_cover_a_scene():
-    shared = {"scenario", "seed", "textured"}
-    assert set(SceneParameters.model_fields) == set(Scene.model_fields) - shared
-    assert shared <= set(SimulateRequest.model_fields)
-
-
 SCENE = Scene(
     scenario="hemisphere",
     seed=7,
@@ -63,23 +60,45 @@ def test_a_returned_scene_is_a_whole_request():
     request = SimulateRequest.model_validate({"scene": scene})
     assert (request.scenario, request.seed, request.textured) == ("hemisphere", 7, False)
     assert request.balls == 2
-    shared = {"scenario": "hemisphere", "seed": 7, "textured": False}
-    assert Scene.model_validate(request.scene.given() | shared) == SCENE
+    assert "seed" not in request.parameters
+    assert Scene.model_validate(request.parameters | {"scenario": "hemisphere", "seed": 7}) == SCENE
 
 
 def test_what_stands_twice_must_be_the_same():
-    twice = {"scenario": "ellipsoid", "seed": 1, "radius_m": 0.1}
+    twice = {"scenario": "ellipsoid", "seed": 1}
     same = SimulateRequest.model_validate(twice | {"scene": {"radius_m": 0.1, "seed": 1}})
     assert same.scene.radius_m == 0.1
-    with pytest.raises(ValidationError, match=r"radius_m and scene\.radius_m differ"):
-        SimulateRequest.model_validate(twice | {"scene": {"radius_m": 0.2}})
+    with pytest.raises(ValidationError, match=r"seed and scene\.seed differ"):
+        SimulateRequest.model_validate(twice | {"scene": {"seed": 2}})
+
+
+@pytest.mark.parametrize("name", ["radius_m", "positions_m", "friction"])
+def test_a_parameter_of_the_scene_has_one_place(name):
+    with pytest.raises(ValidationError, match=f"{name} is a parameter of the scene"):
+        SimulateRequest.model_validate({"scenario": "ellipsoid", "seed": 1, name: 0.1})
 
 
 def test_a_null_is_no_second_value():
     request = SimulateRequest.model_validate(
-        {"scenario": "ellipsoid", "seed": 1, "scene": {"seed": None}, "axis_ratio": None}
+        {"scenario": "ellipsoid", "seed": 1, "scene": {"seed": None, "axis_ratio": None}}
     )
-    assert request.scene.given() == {}
+    assert request.parameters == {}
+    assert SimulateRequest.model_validate(
+        {"scenario": "ellipsoid", "seed": 1, "textured": False, "scene": None}
+    ).parameters == {"textured": False}
+
+
+def test_the_client_has_every_option_of_a_simulation_with_its_default():
+    options = inspect.signature(Client.simulate).parameters
+    fields = SimulateRequest.model_fields
+    assert set(options) - {"self"} == set(fields)
+    assert set(SimulationOptions.__annotations__) | {
+        "scenario",
+        "include_frames",
+        "include_surface",
+    } == set(fields)
+    for name in ("steps", "image_size", "include_frames", "include_surface"):
+        assert options[name].default == fields[name].default, name
 
 
 def test_a_client_reads_the_answer_of_a_newer_service():

@@ -52,18 +52,28 @@ function applies({ scenarios, several }, { scenario, balls }) {
   return (!scenarios || scenarios.includes(scenario)) && (!several || balls > 1);
 }
 
+/** What is chosen and applies, by name. */
+function fixedOf(choices) {
+  const values = valuesOf(choices);
+  const fixed = {};
+  for (const number of NUMBERS) {
+    if (number.name in values && applies(number, choices)) fixed[number.name] = values[number.name];
+  }
+  if (values[WHITE] && choices.balls === 1) fixed.textured = false;
+  return fixed;
+}
+
 /**
  * The fields of `POST /simulate` that are fixed.
  * @param {import("./state.js").Choices} choices
  */
 export function parametersOf(choices) {
-  const values = valuesOf(choices);
-  const fields = {};
-  for (const number of NUMBERS) {
-    if (number.name in values && applies(number, choices)) fields[number.name] = values[number.name];
-  }
-  if (values[WHITE] && choices.balls === 1) fields.textured = false;
-  return fields;
+  const { textured, start_step, ...scene } = fixedOf(choices);
+  return {
+    ...(textured === undefined ? {} : { textured }),
+    ...(start_step === undefined ? {} : { start_step }),
+    ...(Object.keys(scene).length ? { scene } : {}),
+  };
 }
 
 /** @param {ReturnType<typeof import("./state.js").createStore>} store of choices */
@@ -103,7 +113,7 @@ export function showScenePanel(choices) {
   }
   byId("scene-white").checked = Boolean(values[WHITE]);
   byId("scene-white").parentElement.hidden = choices.balls !== 1;
-  const count = Object.keys(parametersOf(choices)).length;
+  const count = Object.keys(fixedOf(choices)).length;
   byId("scene-count").textContent = count ? `${count} fixed` : "";
   byId("scene-reset").disabled = !Object.keys(values).length;
 }

@@ -62,11 +62,11 @@ function pythonOfScene(calls, choices) {
   const { session, final } = calls;
   const { scenario, balls, seed } = choices;
   const steps = session.take.frames.length;
-  const { textured, start_step: start, ...parameters } = parametersOf(choices);
+  const { textured, start_step: start, scene } = parametersOf(choices);
   const fixed =
     (textured === undefined ? "" : ", textured=False") +
     (start === undefined ? "" : `, start_step=${start}`) +
-    (Object.keys(parameters).length ? `, scene=${JSON.stringify(parameters)}` : "");
+    (scene === undefined ? "" : `, scene=${JSON.stringify(scene)}`);
   return python(
     calls,
     `    scene = client.simulate("${scenario}", num_objects=${balls}, seed=${Number(seed)}, steps=${steps}${fixed})\n`,

@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from rollcast.scene import SceneParameters
 from service.http.routes.home import STATIC
 
 SCRIPTS = sorted(path.relative_to(STATIC).as_posix() for path in STATIC.glob("app/*.js"))
@@ -39,6 +40,17 @@ def test_every_file_that_a_script_imports_is_there(script: str):
         r'^(?:import|export)\b.*? from "([^"]+)"', text, re.MULTILINE | re.DOTALL
     ):
         assert ((STATIC / script).parent / name).is_file(), name
+
+
+def test_the_panel_of_a_scene_has_the_limits_of_the_service():
+    text = (STATIC / "app/scene_panel.js").read_text("utf-8")
+    number = r"\{ name: \"(\w+)\", label: \"[^\"]+\", min: ([\d.]+), max: ([\d.]+)"
+    limits = {name: (float(low), float(high)) for name, low, high in re.findall(number, text)}
+    del limits["start_step"]
+    assert len(limits) >= 10
+    fields = SceneParameters.model_json_schema()["properties"]
+    known = {name: fields[name]["anyOf"][0] for name in limits}
+    assert limits == {name: (field["minimum"], field["maximum"]) for name, field in known.items()}
 
 
 def test_a_file_is_asked_for_anew_and_sent_once(client):
