@@ -20,7 +20,7 @@ from rollcast.client.prompts import BallPoints
 from rollcast.client.results import Detections, Forecast, ForecastStep, Simulation, Surface
 from rollcast.client.stream import StreamAssembler
 from rollcast.scene import Domain, Scenario, Scene
-from rollcast.schemas import AUTO_MODEL, Health, ModelDetail, ModelEntry
+from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, Health, ModelDetail, ModelEntry
 from rollcast.trajectory import OBSERVED_FRAMES
 
 T = TypeVar("T")
@@ -284,7 +284,7 @@ class AsyncClient:
         *,
         seed: Integer | None = None,
         num_objects: Integer | None = None,
-        steps: Integer = OBSERVED_FRAMES + 40,
+        steps: Integer = OBSERVED_FRAMES + DEFAULT_HORIZON,
         start_step: Integer | None = None,
         image_size: Integer = 128,
         textured: bool | None = None,

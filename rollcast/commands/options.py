@@ -162,8 +162,8 @@ Rate: TypeAlias = Annotated[
     typer.Option(
         parser=_rate,
         metavar="HZ",
-        help="frame rate of the camera in Hz, for images (default: 40), elementary streams, "
-        "which do not state it, and slow motion, which is stored at a lower rate",
+        help=f"frame rate of the camera in Hz, for images (default: {FRAME_RATE_HZ}), elementary "
+        "streams, which do not state it, and slow motion, which is stored at a lower rate",
     ),
 ]
 Crop: TypeAlias = Annotated[

@@ -19,8 +19,9 @@ from rollcast.simulation.bullet import pybullet
 from rollcast.surfaces import BOWL_RADIUS_M, EllipsoidalBowl, Surface, surface_of
 from rollcast.trajectory import FRAME_RATE_HZ, Trajectory
 
-STEPS_PER_FRAME = 9
-"""360 Hz: three substeps of 120 Hz, as in the paper's simulation details."""
+STEP_RATE_HZ = 360
+"""Steps per second: three substeps of 120 Hz, as in the paper's simulation details."""
+STEPS_PER_FRAME = STEP_RATE_HZ // FRAME_RATE_HZ
 
 BALL_RESTITUTION = 0.7
 """Between two balls (paper, section 3.1), unless the scene says otherwise; surfaces have none, and

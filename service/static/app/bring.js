@@ -3,6 +3,7 @@
 import { centred, CropEditor, inside } from "./crop.js";
 import { byId } from "./dom.js";
 import { openFootage } from "./footage.js";
+import { FRAME_RATE_HZ } from "./state.js";
 
 const FIELDS = { x: "crop-x", y: "crop-y", size: "crop-size" };
 
@@ -16,7 +17,7 @@ export class Bring {
     this.footage = null;
     this.crop = { x: 0, y: 0, size: 128 };
     /** What the models know: frames a second and, of one set-up, the square that they saw. */
-    this.known = { rate: 40, crop: null };
+    this.known = { rate: FRAME_RATE_HZ, crop: null };
     this._editor = new CropEditor((crop) => this._cropped(crop));
     this._listen();
   }
@@ -25,7 +26,7 @@ export class Bring {
   get wanted() {
     return {
       startS: Number(byId("start").value),
-      spacingS: Math.max(Number(byId("spacing").value) || 25, 0.1) / 1000,
+      spacingS: Math.max(Number(byId("spacing").value) || 1000 / this.known.rate, 0.1) / 1000,
       crop: this.isWhole
         ? { x: 0, y: 0, width: this.footage.width, height: this.footage.height }
         : this.crop,
@@ -84,7 +85,7 @@ export class Bring {
     this._hasSquare = false;
     byId("footage-settings").hidden = false;
     byId("image-rate-field").hidden = this.footage.kind === "video";
-    byId("image-rate").value = "40";
+    byId("image-rate").value = String(FRAME_RATE_HZ);
     byId("start").value = "0";
     this._suit();
     this._describe();
@@ -145,7 +146,7 @@ export class Bring {
       this.edit();
     });
     byId("image-rate").addEventListener("change", () => {
-      this.footage.rate = Math.max(Number(byId("image-rate").value) || 40, 0.1);
+      this.footage.rate = Math.max(Number(byId("image-rate").value) || FRAME_RATE_HZ, 0.1);
       this._describe();
       this._listener.changed();
     });

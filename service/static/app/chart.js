@@ -3,6 +3,7 @@
 import { byId, styled } from "./dom.js";
 import { curvesOf } from "./figures.js";
 import { faded, onPage } from "./palette.js";
+import { FRAME_RATE_HZ } from "./state.js";
 
 const HEIGHT_PX = 240;
 /** Doubt that has lost all bounds leaves the chart at this multiple of the largest error. */
@@ -40,7 +41,7 @@ export class Chart {
       const padded = (values) => times.map((_, step) => values[step] ?? null);
       return truth ? [padded(radii), padded(errors)] : [padded(radii)];
     });
-    this._secondsInAll = Math.max(seconds, 0.025);
+    this._secondsInAll = Math.max(seconds, 1 / FRAME_RATE_HZ);
     this._trainedS = forecasts.map(({ trainedS }) => trainedS ?? null);
     this._plot.setData([times, ...columns]);
   }

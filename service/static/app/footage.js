@@ -1,6 +1,7 @@
 /** Images or a video that the user brings, as pictures at given times. */
 
 import { canvasOf, make } from "./dom.js";
+import { FRAME_RATE_HZ } from "./state.js";
 
 /** How long a browser may take to show a picture, and how long at the end, where there may be none. */
 const PATIENCE_MS = 2000;
@@ -48,7 +49,7 @@ export class ImageFootage {
     this.kind = "images";
     this.name = `${files.length} images, ${files[0].name} to ${files.at(-1).name}`;
     /** Images a second: the files do not tell, their user does. */
-    this.rate = 40;
+    this.rate = FRAME_RATE_HZ;
     this._files = files;
     this._decoded = new Map();
   }

@@ -16,7 +16,7 @@ import { Session } from "./session.js";
 import { installSharing } from "./sharing.js";
 import { phaseOf, Stage } from "./stage.js";
 import {
-  choicesFrom, createStore, fragmentOf, LAST_SEEN, pointsOf, textOf,
+  choicesFrom, createStore, FRAME_RATE_HZ, fragmentOf, LAST_SEEN, pointsOf, textOf,
 } from "./state.js";
 import { installTheme } from "./theme.js";
 import { installTransport, showTransport } from "./transport.js";
@@ -45,7 +45,7 @@ const stage = new Stage();
 const player = new Player(showMoment);
 const chart = new Chart((timeS) => {
   player.pause();
-  player.seek(LAST_SEEN + timeS * (session.take?.rate ?? 40));
+  player.seek(LAST_SEEN + timeS * (session.take?.rate ?? FRAME_RATE_HZ));
 });
 const surface = new LazySurface();
 const session = new Session({

@@ -2,7 +2,7 @@
 
 import { byId, make } from "./dom.js";
 import { MARKS } from "./palette.js";
-import { MOST_MODELS } from "./state.js";
+import { FRAME_RATE_HZ, MOST_MODELS } from "./state.js";
 
 export const AUTO = "auto";
 
@@ -55,9 +55,6 @@ export function readRectangles(entries, choices) {
     (name) => name === AUTO || found.some((entry) => labelOf(entry) === name && isForAny(entry)),
   );
 }
-
-/** Frames a second of what every simulation shows, and of models that do not tell. */
-export const FRAME_RATE_HZ = 40;
 
 /**
  * The model that the frames are made for: the first one chosen. "auto" takes one for footage only

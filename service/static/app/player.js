@@ -1,6 +1,6 @@
 /** The clock: which frame is shown, and how it goes on by itself. */
 
-import { LAST_SEEN } from "./state.js";
+import { FRAME_RATE_HZ, LAST_SEEN } from "./state.js";
 
 /** The four seen frames stand still for a while each: they are what a forecast is made from. */
 const SEEN_FRAME_MS = 280;
@@ -15,7 +15,7 @@ export class Player {
     this.last = LAST_SEEN;
     /** Index of the last frame whose forecast has come; the clock waits for it. */
     this.arrived = LAST_SEEN;
-    this.framesPerSecond = 40;
+    this.framesPerSecond = FRAME_RATE_HZ;
     this.speed = 1;
   }
 

@@ -26,6 +26,9 @@ export const MOST_BALLS = 8;
 /** Frames that the models see; frame i shows step i - 3. */
 export const LAST_SEEN = SEEN - 1;
 
+/** Frames a second of what every simulation shows, and of models that do not tell. */
+export const FRAME_RATE_HZ = 40;
+
 /** @type {Choices} */
 const DEFAULTS = {
   source: "scene",

@@ -5,6 +5,7 @@ import re
 import pytest
 
 from rollcast.scene import SceneParameters
+from rollcast.trajectory import FRAME_RATE_HZ
 from service.http.routes.home import STATIC
 
 SCRIPTS = sorted(path.relative_to(STATIC).as_posix() for path in STATIC.glob("app/*.js"))
@@ -51,6 +52,15 @@ def test_the_panel_of_a_scene_has_the_limits_of_the_service():
     fields = SceneParameters.model_json_schema()["properties"]
     known = {name: fields[name]["anyOf"][0] for name in limits}
     assert limits == {name: (field["minimum"], field["maximum"]) for name, field in known.items()}
+
+
+def test_the_page_has_the_rate_of_simulations():
+    (rate,) = re.findall(
+        r"^export const FRAME_RATE_HZ = ([\d.]+);$",
+        (STATIC / "app/state.js").read_text("utf-8"),
+        re.MULTILINE,
+    )
+    assert float(rate) == FRAME_RATE_HZ
 
 
 def test_a_file_is_asked_for_anew_and_sent_once(client):
