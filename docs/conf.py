@@ -49,9 +49,9 @@ nitpick_ignore_regex = [
         r"|pydantic_core|types|typing)\..*|ndarray|DataFrame|NoneType|FieldInfo",
     ),
     # Parts of annotations that are no names: limits, and the axes of arrays.
-    ("py:class", r"Ge|Gt|Le|Lt|Strict|-?[0-9.]+|'.*'"),
+    ("py:class", r"Ge|Gt|Le|Lt|MinLen|MaxLen|FailFast|Strict|-?[0-9.]+|'.*'"),
     # Protocols and type variables, which say what is accepted and need no page of their own.
-    ("py:class", r"rollcast\..*\.(Supports\w+|FrameTensor|\w+T|_\w+)"),
+    ("py:(class|obj)", r"rollcast\..*\.(Supports\w+|FrameTensor|\w+T|_\w+)"),
     # Bodies whose fields only the description of the HTTP API has.
     ("py:class", r"rollcast\.schemas\.(BallPrompt|DetectResponse)|_PydanticGeneralMetadata"),
     # Two attributes that share a description.

@@ -66,8 +66,8 @@ Spin: TypeAlias = Annotated[Number, Field(ge=-MAX_SPIN_RAD_S, le=MAX_SPIN_RAD_S)
 Slope: TypeAlias = Annotated[Number, Field(ge=-MAX_SLOPE, le=MAX_SLOPE)]
 Friction: TypeAlias = Annotated[Number, Field(ge=0.01, le=1)]
 Restitution: TypeAlias = Annotated[Number, Field(ge=0.1, le=1)]
-Item = TypeVar("Item")
-PerBall: TypeAlias = Annotated[tuple[Item, ...], Field(max_length=MAX_OBJECTS, fail_fast=True)]
+ItemT = TypeVar("ItemT")
+PerBall: TypeAlias = Annotated[tuple[ItemT, ...], Field(max_length=MAX_OBJECTS, fail_fast=True)]
 """A value of every ball."""
 
 
