@@ -1,5 +1,6 @@
 import gc
 import threading
+import warnings
 from pathlib import Path
 from weakref import WeakValueDictionary
 
@@ -102,5 +103,7 @@ def test_a_missing_execution_provider_is_refused_with_those_that_exist():
 
 def test_a_provider_that_does_not_start_is_not_replaced_by_the_cpu():
     step = MODELS / "fieldnet" / "1" / STEP_FILE
-    with pytest.raises((RuntimeError, ValueError), match="CUDAExecutionProvider"):
-        onnx_runtime._session(step, "CUDAExecutionProvider")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ONNX Runtime warns, and goes on without it
+        with pytest.raises(RuntimeError, match="CUDAExecutionProvider does not start"):
+            onnx_runtime._session(step, "CUDAExecutionProvider")
