@@ -2,8 +2,10 @@
 
 import base64
 import io
+import json
 import re
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from itertools import product
 from pathlib import Path
@@ -18,22 +20,37 @@ from playwright.sync_api import Browser, Page, Playwright, Request, expect, sync
 from rollcast.client import Client, Simulation
 from tests.browser.conftest import PHONE, OpenPage, until_forecast
 from tests.browser.test_access import WCAG
-from tests.e2e.conftest import serving
+from tests.e2e.conftest import ROOT, serving
 
-WIDTH, HEIGHT, LEFT, RATE_HZ = 320, 240, 60, 40
+WIDTH, HEIGHT, LEFT = 320, 240, 60
 """The camera's pictures; the scene fills a square of them."""
+RATE_HZ = 5
+"""Rate of the camera and of the model: the world is slow, and so are machines that run tests."""
 BITS, BLOCK, GREY = 8, 12, 90
 """Blocks at the left border that say which picture it is; so faint that no model sees a ball."""
+MOST_STEPS = 16
+"""Age of a forecast, in steps, up to which its ring has to lie on the ball."""
 ORANGE = np.array([0xE6, 0x9F, 0x00])
 OTHER_NAME = "rollcast.example"
 LAUNCH = ("--no-sandbox", "--disable-gpu")
 
 
 @pytest.fixture(scope="module")
-def scene(address: str) -> Simulation:
-    with Client(address) as client:
-        # A slow ball: where machines are busy, the picture is seconds ahead of its forecast.
-        return client.simulate("hemisphere", seed=3, start_step=300, steps=80, image_size=HEIGHT)
+def slow(tmp_path_factory) -> Iterator[str]:
+    """A service whose model was trained, as it says, on a camera as slow as this one."""
+    folder = tmp_path_factory.mktemp("models")
+    shutil.copytree(ROOT / "models/any-ball/1", folder / "any-ball/1")
+    file = folder / "any-ball/1/manifest.json"
+    told = json.loads(file.read_text()) | {"frame_rate_hz": float(RATE_HZ), "default": True}
+    file.write_text(json.dumps(told))
+    with serving(ROLLCAST_MODELS_DIR=str(folder)) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def scene(slow: str) -> Simulation:
+    with Client(slow) as client:
+        return client.simulate("hemisphere", seed=3, start_step=250, steps=100, image_size=HEIGHT)
 
 
 @pytest.fixture(scope="module")
@@ -98,10 +115,10 @@ OpenCamera = Callable[..., Page]
 
 
 @pytest.fixture
-def open_camera(open_page: OpenPage, address: str) -> OpenCamera:
+def open_camera(open_page: OpenPage, slow: str) -> OpenCamera:
     """Open the page with its camera chosen, but not started."""
 
-    def _open(at: str = address, *, allowed: bool = True, **options: object) -> Page:
+    def _open(at: str = slow, *, allowed: bool = True, **options: object) -> Page:
         page = open_page(at, **({"viewport": {"width": 900, "height": 760}} | options))
         if allowed:
             page.context.grant_permissions(["camera"])
@@ -127,11 +144,13 @@ def live_tracks(page: Page) -> int:
     return page.evaluate("opened.filter(({ readyState }) => readyState === 'live').length")
 
 
-def shown(page: Page) -> np.ndarray:
-    """The picture of one moment, with whatever is drawn over it."""
-    data = page.evaluate("document.querySelector('#panels canvas').toDataURL()")
+def shown(page: Page) -> tuple[np.ndarray, float]:
+    """The picture of one moment, with whatever is drawn over it, and the forecast's step there."""
+    data, step = page.locator("#panels canvas").evaluate(
+        "(canvas) => [canvas.toDataURL(), canvas.dataset.step]"
+    )
     with Image.open(io.BytesIO(base64.b64decode(data.partition(",")[2]))) as image:
-        return np.asarray(image.convert("RGB"))
+        return np.asarray(image.convert("RGB")), float(step)
 
 
 def index_of(picture: np.ndarray) -> int:
@@ -171,18 +190,16 @@ def test_the_ring_lies_on_the_ball(open_camera: OpenCamera, scene: Simulation):
     expect(page.locator("#legend")).to_contain_text("auto: ")
     expect(page.locator("#verdict")).to_contain_text("score")
     offsets = []
-    for _ in range(60):
-        picture = shown(page)
-        index = index_of(picture)
-        offset, part = ring(picture, scene.positions[0, index] + [LEFT, 0])
-        if part > 0.8:
+    deadline_s = time.monotonic() + 120
+    while len(offsets) < 10 and time.monotonic() < deadline_s:
+        picture, step = shown(page)
+        offset, part = ring(picture, scene.positions[0, index_of(picture)] + [LEFT, 0])
+        if part > 0.8 and 0 < step < MOST_STEPS:
             offsets.append(offset)
-        if len(offsets) == 12:
-            break
         page.wait_for_timeout(200)
-    assert len(offsets) == 12
-    # Half of the ball's radius; the forecasts of busy machines are seconds old.
-    assert np.median(offsets) < 12, offsets
+    assert len(offsets) == 10
+    # A third of the ball's radius.
+    assert np.median(offsets) < 8, offsets
 
 
 def test_one_request_at_a_time(open_camera: OpenCamera):
@@ -235,7 +252,7 @@ def test_the_last_seconds(open_camera: OpenCamera):
     assert re.match(r"camera-[\d-]+T[\d-]+\.webm$", download.value.suggested_filename)
     with av.open(download.value.path()) as container:
         pictures = [one.to_ndarray(format="rgb24") for one in container.decode(video=0)]
-    assert len(pictures) > 10, "a browser that is busy may leave frames out"
+    assert len(pictures) > 4, "a browser that is busy may leave frames out"
     assert pictures[0].shape == (HEIGHT, WIDTH, 3)
     page.wait_for_timeout(1500)
     page.click("#camera-use")
@@ -279,8 +296,8 @@ def test_a_refused_permission_is_told(open_camera: OpenCamera):
     expect(page.locator("#camera-said")).to_have_text("")
 
 
-def test_an_insecure_address_is_told(browser: Browser, address: str):
-    other = address.replace("127.0.0.1", OTHER_NAME)
+def test_an_insecure_address_is_told(browser: Browser, slow: str):
+    other = slow.replace("127.0.0.1", OTHER_NAME)
     page = browser.new_page()  # which warns of more headers that need https
     page.goto(other)
     page.check("#source-camera", force=True)
@@ -289,13 +306,13 @@ def test_an_insecure_address_is_told(browser: Browser, address: str):
     page.context.close()
 
 
-def test_a_missing_camera_is_told(playwright: Playwright, address: str):
+def test_a_missing_camera_is_told(playwright: Playwright, slow: str):
     browser = launch(playwright, "=device-count=0")
     try:
         context = browser.new_context()
         context.grant_permissions(["camera"])
         page = context.new_page()
-        page.goto(address)
+        page.goto(slow)
         page.check("#source-camera", force=True)
         page.click("#camera-start")
         told(page, "No camera was found.")

@@ -18,8 +18,8 @@ const RETRY_S = 2;
 /** Statuses that say "too much at once", and those that another frame does not change. */
 const OVERLOADED = [429, 503];
 const FINAL = [401, 403];
-/** Rate below which the picture is too slow for rolling balls. */
-const SLOW_HZ = 22;
+/** Share of the model's rate below which the camera is too slow. */
+const SLOW = 0.55;
 
 /**
  * @typedef {object} Wanted what is asked of the service
@@ -165,7 +165,7 @@ export class Live {
       return "The forecasts arrive after the time that they reach: choose a longer horizon.";
     }
     const rate = 1 / this._camera.intervalS;
-    return rate < SLOW_HZ
+    return rate < SLOW * this._listener.wanted().rate
       ? `The camera takes only ${Math.round(rate)} pictures a second; more light may help.`
       : "";
   }
@@ -196,6 +196,7 @@ export class Live {
       forecast: forecast ?? null,
       step,
     });
+    canvas.dataset.step = step.toFixed(1);
     const whose = forecast ? `, forecast by ${forecast.label}` : "";
     canvas.setAttribute("aria-label", `Running picture of the camera${whose}`);
   }
