@@ -243,6 +243,17 @@ def test_leaving_releases_the_camera(open_camera: OpenCamera):
     expect(page.locator(".live-actions")).to_be_hidden()
 
 
+def test_points_of_a_scene_are_given_up(open_page: OpenPage, slow: str):
+    page = open_page(slow, "#points=120,130")
+    until_forecast(page)
+    page.check("#source-camera", force=True)
+    expect(page.locator("#stage-title")).to_have_text("Live from the camera")
+    expect(page.locator("#picks")).to_be_hidden()
+    assert "points" not in page.url
+    page.check("#source-scene", force=True)
+    until_forecast(page)
+
+
 def test_the_last_seconds(open_camera: OpenCamera):
     page = open_camera()
     start(page)

@@ -300,18 +300,19 @@ store.subscribe((choices, before) => {
     store.set({ points: "" });
     return;
   }
-  if (choices.source !== "camera" && before.source === "camera") live.stop();
+  const shown = lastShown ?? before;
+  if (choices.source !== "camera" && shown.source === "camera") live.stop();
   picks.points = pointsOf(choices);
   history.replaceState(null, "", `#${fragmentOf(choices)}`);
   showControls(choices, entries, store);
   player.speed = choices.speed;
   const asked = (all) => JSON.stringify({ ...all, ...Object.fromEntries(LOOKS.map((name) => [name, 0])) });
-  if (asked(choices) === asked(lastShown ?? before)) requestShow();
+  if (asked(choices) === asked(shown)) requestShow();
   else if (choices.source === "camera") {
-    if (before.source !== "camera") enterLive();
+    if (shown.source !== "camera") enterLive();
   } else if (choices.source === "footage") {
     const isOther = suit(choices);
-    if (bring.footage && (editing || isOther || before.source !== "footage")) edit();
+    if (bring.footage && (editing || isOther || shown.source !== "footage")) edit();
     else if (bring.footage) run();
     else empty();
   } else {
