@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from PIL import Image
-from playwright.sync_api import Browser, Page, Playwright, Request, expect, sync_playwright
+from playwright.sync_api import Browser, Page, Playwright, Request, expect
 
 from rollcast.client import Client, Simulation
-from tests.browser.conftest import PHONE, OpenPage, until_forecast
+from tests.browser.conftest import PHONE, OpenPage, launch, until_forecast
 from tests.browser.test_access import WCAG
 from tests.e2e.conftest import ROOT, serving
 
@@ -32,7 +32,6 @@ MOST_STEPS = 16
 """Age of a forecast, in steps, up to which its ring has to lie on the ball."""
 ORANGE = np.array([0xE6, 0x9F, 0x00])
 OTHER_NAME = "rollcast.example"
-LAUNCH = ("--no-sandbox", "--disable-gpu")
 
 
 @pytest.fixture(scope="module")
@@ -72,24 +71,16 @@ def film(scene: Simulation, tmp_path_factory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def playwright() -> Iterator[Playwright]:
-    with sync_playwright() as playwright:
-        yield playwright
-
-
-def launch(playwright: Playwright, device: str, *more: str) -> Browser:
-    path = shutil.which("chromium")
-    if path is None:
-        pytest.exit("these tests need a browser: apt-get install chromium", returncode=1)
+def with_cameras(playwright: Playwright, device: str, *more: str) -> Browser:
+    """Launch a browser with fake cameras, as quick as a busy machine allows."""
     fake = f"--use-fake-device-for-media-stream{device}"
-    return playwright.chromium.launch(executable_path=path, args=[*LAUNCH, fake, *more])
+    return launch(playwright, "--disable-gpu", "--disable-3d-apis", fake, *more)
 
 
 @pytest.fixture(scope="module")
 def browser(playwright: Playwright, film: Path) -> Iterator[Browser]:
     """A browser with a camera, which no page may use before it was allowed."""
-    browser = launch(
+    browser = with_cameras(
         playwright,
         "",
         f"--use-file-for-fake-video-capture={film}",
@@ -318,7 +309,7 @@ def test_an_insecure_address_is_told(browser: Browser, slow: str):
 
 
 def test_a_missing_camera_is_told(playwright: Playwright, slow: str):
-    browser = launch(playwright, "=device-count=0")
+    browser = with_cameras(playwright, "=device-count=0")
     try:
         context = browser.new_context()
         context.grant_permissions(["camera"])

@@ -300,7 +300,7 @@ store.subscribe((choices, before) => {
     store.set({ points: "" });
     return;
   }
-  const shown = lastShown ?? before;
+  const shown = lastShown;
   if (choices.source !== "camera" && shown.source === "camera") live.stop();
   picks.points = pointsOf(choices);
   history.replaceState(null, "", `#${fragmentOf(choices)}`);
@@ -328,7 +328,7 @@ function isOtherScene(choices, before) {
 }
 
 /** The choices that the page showed last: some changes take several steps. */
-let lastShown = null;
+let lastShown = store.get();
 
 /** Nothing has been brought yet. */
 function empty() {
