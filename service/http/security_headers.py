@@ -14,6 +14,9 @@ ALWAYS = {
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Opener-Policy": "same-origin",
 }
+PERMISSIONS = "Permissions-Policy"
+NO_DEVICES = "camera=(), display-capture=(), geolocation=(), microphone=()"
+"""Permissions policy of all answers but the demo page, which opens a camera on request."""
 NOTHING_RUNS = "default-src 'none'; frame-ancestors 'none'"
 """Policy of an answer that has none of its own: data, which no browser need run."""
 DESCRIPTION = (
@@ -41,6 +44,7 @@ class SecurityHeaders:
                 headers = MutableHeaders(scope=message)
                 for name, value in self._always.items():
                     headers.setdefault(name, value)
+                headers.setdefault(PERMISSIONS, NO_DEVICES)
                 is_page = headers.get("content-type", "").startswith("text/html")
                 headers.setdefault(POLICY, DESCRIPTION if is_page else NOTHING_RUNS)
             await send(message)

@@ -30,7 +30,7 @@ def test_it_offers_footage_instead(
     expect(message.locator("h2")).to_have_text("Simulation is not installed (501)")
     expect(message).to_contain_text("Simulations require PyBullet")
     expect(page.locator("#source-scene")).to_be_disabled()
-    expect(page.get_by_text("Simulated scene (not installed)")).to_be_visible()
+    expect(page.get_by_text("Simulation (not installed)")).to_be_visible()
     expect(page.locator("#source-footage")).to_be_checked()
     expect(page.locator("#busy")).to_be_hidden()
     with Client(address) as client:

@@ -250,7 +250,7 @@ def plan_lines(costs: dict[Kind, Cost], spread: Spread, start_s: float) -> list[
         f"raw tensors need {sizes['binary'] / sizes['json']:.0f} times the network bandwidth,",
         f"and Ray's proxies and routers use {1 - kept:.0%} of the cores (above, {spread.nodes} "
         "nodes). Replicas behind a plain load balancer",
-        "(`docker/kubernetes/rollcast.yaml`) need no such proxies. The remaining time is the "
+        "(`docker/kubernetes/base/rollcast.yaml`) need no such proxies. The remaining time is the "
         "networks' own computation.",
         "",
         f"With Ray, a core answers {per_core:.0f} requests per second. A replica starts within "

@@ -33,6 +33,11 @@ NOT_RUN = {
         "docker build -f docker/service.Dockerfile -t rollcast-service:0.1.0 .",
     ): DOCKER,
     ("deployment.md", "mkdir keys"): DOCKER,
+    ("deployment.md", "kind load docker-image rollcast-service:0.1.0"): CLUSTER,
+    (
+        "deployment.md",
+        "docker tag rollcast-service:0.1.0 registry.example/rollcast-service:0.1.0",
+    ): CLUSTER,
     ("deployment.md", "serve run service.process.ray_serve:application"): CLUSTER,
     ("research.md", "python -m training simulate hemisphere --scenes 1000 --split training"): HOURS,
     (

@@ -26,6 +26,9 @@ from tests.e2e.container import World, in_container
 DOCKER = ROOT / "docker"
 DOCKERFILE = (DOCKER / "service.Dockerfile").read_text("utf-8")
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
+BASE = "kubernetes/base/rollcast.yaml"
+OVERLAYS = ("local", "production")
+"""Kustomizations of the base, each for a kind of cluster."""
 GUIDE = ROOT / "docs/guide/deployment.md"
 PROXIES = ("http_proxy", "HTTP_PROXY", "https_proxy", "HTTPS_PROXY", "all_proxy", "ALL_PROXY")
 
@@ -80,7 +83,7 @@ def compose() -> Deployment:
 
 
 DEPLOYMENTS: dict[str, Deployment] = {
-    "kubernetes": of_pod(documents("kubernetes/rollcast.yaml")[0]["spec"]["template"]["spec"]),
+    "kubernetes": of_pod(documents(BASE)[0]["spec"]["template"]["spec"]),
     "kserve": of_pod(documents("kubernetes/kserve.yaml")[0]["spec"]),
     "compose": compose(),
     **{
@@ -100,7 +103,7 @@ def instruction(name: str) -> list[str]:
 def kubernetes() -> dict[str, str]:
     """Variables that Kubernetes sets in every pod beside the manifests' Services."""
     set_by_it = {"KUBERNETES_SERVICE_HOST": "10.96.0.1", "KUBERNETES_PORT": "tcp://10.96.0.1:443"}
-    services = [one for one in documents("kubernetes/rollcast.yaml") if one["kind"] == "Service"]
+    services = [one for one in documents(BASE) if one["kind"] == "Service"]
     named = {one["metadata"]["name"]: one["spec"]["ports"] for one in services}
     for name, (port,) in {**named, "rollcast-canary": services[0]["spec"]["ports"]}.items():
         prefix = name.upper().replace("-", "_")
@@ -207,11 +210,101 @@ def test_every_image_is_made_by_a_documented_step():
     assert all(image.endswith(f":{VERSION}") for image in named)
 
 
+needs_kubectl = pytest.mark.skipif(shutil.which("kubectl") is None, reason="there is no kubectl")
+
+
+def rendered(overlay: str) -> dict[str, Any]:
+    """What an overlay makes of the base, by kind."""
+    folder = DOCKER / "kubernetes/overlays" / overlay
+    done = subprocess.run(["kubectl", "kustomize", folder], capture_output=True, check=True)
+    return {one["kind"]: one for one in yaml.safe_load_all(done.stdout)}
+
+
+def pod_of(kinds: dict[str, Any]) -> Any:
+    return kinds["Deployment"]["spec"]["template"]["spec"]
+
+
+@needs_kubectl
+def test_overlays_give_the_service_what_the_base_gives():
+    base, local, production = (
+        DEPLOYMENTS["kubernetes"],
+        *(of_pod(pod_of(rendered(overlay))) for overlay in OVERLAYS),
+    )
+    assert local == base
+    assert (production.environment, production.mounts) == (base.environment, base.mounts)
+    assert re.fullmatch(r"registry\.example/rollcast-service@sha256:[0-9a-f]{64}", production.image)
+
+
+@needs_kubectl
+@pytest.mark.parametrize("overlay", OVERLAYS)
+def test_every_object_of_a_cluster_means_the_same_pods(overlay):
+    kinds = rendered(overlay)
+    deployment = kinds["Deployment"]["spec"]
+    labels = deployment["template"]["metadata"]["labels"].items()
+    (container,) = pod_of(kinds)["containers"]
+    ports = {port["name"] for port in container["ports"]}
+    (service_port,) = kinds["Service"]["spec"]["ports"]
+    policy = kinds["NetworkPolicy"]["spec"]
+    assert deployment["selector"]["matchLabels"].items() <= labels
+    assert kinds["Service"]["spec"]["selector"].items() <= labels
+    assert policy["podSelector"]["matchLabels"].items() <= labels
+    (let_in,) = policy["ingress"]
+    assert {port["port"] for port in let_in["ports"]} == ports == {service_port["targetPort"]}
+    probes = [container[f"{name}Probe"] for name in ("startup", "readiness", "liveness")]
+    assert {probe["httpGet"]["port"] for probe in probes} == ports
+    if overlay == "local":
+        assert kinds.keys().isdisjoint({"PodDisruptionBudget", "HorizontalPodAutoscaler"})
+        return
+    budget, scaler = (
+        kinds[name]["spec"] for name in ("PodDisruptionBudget", "HorizontalPodAutoscaler")
+    )
+    assert budget["selector"]["matchLabels"].items() <= labels
+    assert budget["minAvailable"] < scaler["minReplicas"], "a node can be drained"
+    assert scaler["scaleTargetRef"]["name"] == kinds["Deployment"]["metadata"]["name"]
+    monitor = kinds["ServiceMonitor"]["spec"]
+    assert (
+        monitor["selector"]["matchLabels"].items() <= kinds["Service"]["metadata"]["labels"].items()
+    )
+    assert [one["port"] for one in monitor["endpoints"]] == [service_port["name"]]
+
+
+@pytest.mark.parametrize("name", ["kubernetes/base/rollcast.yaml", "kubernetes/kserve.yaml"])
+def test_one_slow_answer_takes_no_replica_out(name):
+    spec = documents(name)[0]["spec"]
+    spec = spec["template"]["spec"] if "template" in spec else spec
+    (container,) = spec["containers"]
+    probe = container["readinessProbe"]
+    assert probe["failureThreshold"] > 1
+    assert probe["timeoutSeconds"] >= 2
+    # A replica that stops goes on listening until its probe, too, has taken it out.
+    environment = {one["name"]: one.get("value") for one in container["env"]}
+    delay_s = int(environment["ROLLCAST_SHUTDOWN_DELAY_S"])
+    assert delay_s > probe["periodSeconds"] * probe["failureThreshold"]
+    if "terminationGracePeriodSeconds" in spec:
+        accepted_s, exit_s = 30, 3  # by default, as the guide has it
+        assert spec["terminationGracePeriodSeconds"] > delay_s + accepted_s + exit_s
+
+
+def test_every_secret_and_folder_is_made_or_there():
+    guide = GUIDE.read_text("utf-8")
+    made = set(re.findall(r"kubectl create secret generic (\S+)", guide))
+    pod = documents(BASE)[0]["spec"]["template"]["spec"]
+    named = {one["secret"]["secretName"] for one in pod["volumes"] if "secret" in one}
+    (monitor,) = documents("kubernetes/overlays/production/service-monitor.yaml")
+    named |= {one["authorization"]["credentials"]["name"] for one in monitor["spec"]["endpoints"]}
+    assert named == made
+    applied = re.findall(r"kubectl apply -[kf] (\S+)", guide)
+    assert {Path(path).name for path in applied} >= set(OVERLAYS)
+    assert all((ROOT / path).exists() for path in applied)
+
+
 def test_no_manifest_chooses_a_user():
     """OpenShift gives every project users of its own; elsewhere it is the image's, a number."""
-    for path in sorted((DOCKER / "kubernetes").glob("*.yaml")):
+    for path in sorted((DOCKER / "kubernetes").rglob("*.yaml")):
+        if "containers:" not in path.read_text("utf-8"):
+            continue
         text = path.read_text("utf-8")
-        assert "runAsNonRoot: true" in text
+        assert "runAsNonRoot: true" in text or "overlays" in path.parts
         assert not re.search("runAsUser|runAsGroup|fsGroup", text), path
     assert re.search(r"^USER \d+:\d+$", DOCKERFILE, re.MULTILINE)
 

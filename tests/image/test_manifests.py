@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import yaml
 
 from tests.e2e.conftest import ROOT
@@ -38,15 +39,29 @@ def test_compose():
     assert resolved.count("host_ip") == 3
 
 
-def test_kubernetes():
-    said = judged("kubernetes-validate", "--strict", DOCKER / "kubernetes" / "rollcast.yaml")
-    for kind in ("deployment", "service", "poddisruptionbudget", "horizontalpodautoscaler"):
+CORE = ("deployment", "service", "networkpolicy")
+SEVERAL = ("poddisruptionbudget", "horizontalpodautoscaler")
+"""Kinds of clusters with several replicas."""
+
+
+@pytest.mark.parametrize(("overlay", "kinds"), [("local", CORE), ("production", CORE + SEVERAL)])
+def test_kubernetes(tmp_path, overlay: str, kinds: tuple[str, ...]):
+    folder = DOCKER / "kubernetes/overlays" / overlay
+    done = subprocess.run(["kubectl", "kustomize", folder], capture_output=True, check=True)
+    documents = list(yaml.safe_load_all(done.stdout))
+    # The kinds of operators are not Kubernetes' own.
+    known = [one for one in documents if "monitoring.coreos.com" not in one["apiVersion"]]
+    path = tmp_path / "rendered.yaml"
+    path.write_text(yaml.safe_dump_all(known))
+    said = judged("kubernetes-validate", "--strict", path)
+    for kind in kinds:
         assert f"passed for resource {kind}/rollcast" in said
+    assert len(known) == len(kinds)
 
 
 def test_every_manifest_says_who_may_ask():
     """Without one of the two the service would not listen to others."""
-    deployment = next(yaml.safe_load_all((DOCKER / "kubernetes" / "rollcast.yaml").read_text()))
+    deployment = next(yaml.safe_load_all((DOCKER / "kubernetes/base/rollcast.yaml").read_text()))
     runtime = next(yaml.safe_load_all((DOCKER / "kubernetes" / "kserve.yaml").read_text()))
     compose = yaml.safe_load((DOCKER / "compose.yaml").read_text())
     containers = (

@@ -26,6 +26,9 @@ CONTENT_SECURITY_POLICY = "; ".join(
 )
 """Content security policy: the page only loads files of this service and dropped files."""
 
+PERMISSIONS_POLICY = "camera=(self), display-capture=(), geolocation=(), microphone=()"
+"""Permissions policy: the page itself opens a camera, no frame in it does."""
+
 REVALIDATED = {"Cache-Control": "no-cache"}
 """Cache policy: browsers revalidate files, so that files of two versions are not mixed."""
 
@@ -36,7 +39,10 @@ router = APIRouter(include_in_schema=False)
 @router.get("/")
 async def home(request: Request) -> Response:
     """Return the page."""
-    headers = REVALIDATED | {"Content-Security-Policy": CONTENT_SECURITY_POLICY}
+    headers = REVALIDATED | {
+        "Content-Security-Policy": CONTENT_SECURITY_POLICY,
+        "Permissions-Policy": PERMISSIONS_POLICY,
+    }
     page = FileResponse(PAGE, media_type="text/html", headers=headers)
     return compressed_file(page, PAGE, request.scope)
 

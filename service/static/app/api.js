@@ -49,6 +49,16 @@ export async function simulate(body, signal) {
 }
 
 /**
+ * Ask for a forecast, all at once.
+ * @param {FormData} body a PredictRequest with its images as file parts
+ * @param {AbortSignal} signal
+ */
+export async function predict(body, signal) {
+  const response = await answered(asked("predict", { method: "POST", body, signal }));
+  return response.json().catch(lostUnlessAborted);
+}
+
+/**
  * Ask for a forecast, step by step.
  * @param {object | FormData} body a PredictRequest, as JSON or with its images as file parts
  * @param {AbortSignal} signal

@@ -51,7 +51,10 @@ export function installControls(store) {
  */
 export function possible(choices, entries) {
   const change = {};
-  const source = { ...choices };
+  // A running picture has neither a last frame to choose points on nor a final one.
+  if (choices.source === "camera" && choices.points) change.points = "";
+  if (choices.source === "camera" && choices.finalFrame) change.finalFrame = false;
+  const source = { ...choices, ...change };
   const any = forAnyNumber(entries, choices);
   if (choices.points && entries.length && !any) change.points = source.points = "";
   if (choices.balls === 0 && entries.length && (choices.source === "scene" || !any)) {
@@ -78,8 +81,10 @@ export function showControls(choices, entries, store) {
   if (document.activeElement !== byId("seed")) byId("seed").value = choices.seed;
   byId("scene-controls").hidden = choices.source !== "scene";
   byId("footage-controls").hidden = choices.source !== "footage";
+  byId("camera-controls").hidden = choices.source !== "camera";
+  for (const id of ["models-field", "final-field", "go"]) byId(id).hidden = choices.source === "camera";
   for (const name of ["ellipses", "truth"]) byId(name).checked = choices[name];
-  byId("truth").disabled = choices.source === "footage";
+  byId("truth").disabled = choices.source !== "scene";
   byId("split").checked = choices.layout === "split";
   byId("split").disabled = choices.models.length < 2;
   byId("speed").value = String(choices.speed);
@@ -95,8 +100,8 @@ export function showSimulation(isInstalled) {
   const radio = byId("source-scene");
   radio.disabled = !isInstalled;
   radio.nextElementSibling.textContent = isInstalled
-    ? "Simulated scene"
-    : "Simulated scene (not installed)";
+    ? "Simulation"
+    : "Simulation (not installed)";
 }
 
 function showBalls(choices, entries) {
@@ -104,7 +109,8 @@ function showBalls(choices, entries) {
   const served = (balls) => isServed(entries, { ...numbers, balls });
   for (const balls of [0, 1, 2, 3, 4]) byId(`balls-${balls}`).disabled = !served(balls);
   byId("balls-0").parentElement.hidden = choices.source === "scene" || !served(0);
-  showPicks(pointsOf(choices), forAnyNumber(entries, choices) !== null);
+  const isOffered = choices.source !== "camera" && forAnyNumber(entries, choices) !== null;
+  showPicks(pointsOf(choices), isOffered);
   // No scene has four.
   byId("balls-4").parentElement.hidden = choices.source === "scene" || !served(4);
   const absent = [2, 3].filter((balls) => !served(balls));
@@ -121,12 +127,7 @@ function showFinal(choices, entries) {
   const finalStep = finalStepOf(entries, choices);
   byId("final").checked = choices.finalFrame;
   byId("final").disabled = finalStep === null;
-  byId("final-hint").textContent =
-    finalStep === null
-      ? "No model that is served takes one."
-      : choices.finalFrame
-        ? `It shows step ${finalStep}, so the horizon is ${finalStep + 1} steps.`
-        : "";
+  byId("final-hint").textContent = finalHint(choices, finalStep);
   byId("horizon").disabled = choices.finalFrame;
   const horizon = choices.finalFrame ? finalStep + 1 : choices.horizon;
   byId("horizon").value = String(horizon);
@@ -135,12 +136,21 @@ function showFinal(choices, entries) {
   showHorizon(horizon, rate);
 }
 
+function finalHint({ source, finalFrame }, finalStep) {
+  if (source === "camera") return "";
+  if (finalStep === null) return "No model that is served takes one.";
+  return finalFrame
+    ? `It shows step ${finalStep}, so the horizon is ${finalStep + 1} steps.`
+    : "";
+}
+
 function showHorizon(steps, rate) {
   byId("horizon-text").textContent = `${steps} steps, ${(steps / rate).toFixed(2)} s`;
 }
 
 function summaryOf({ source, scenario, seed, balls, models }) {
-  const what = source === "scene" ? `${scenario}, seed ${seed}` : "your footage";
+  const others = { footage: "your footage", camera: "camera" };
+  const what = others[source] ?? `${scenario}, seed ${seed}`;
   const number = balls === 0 ? "any balls" : balls === 1 ? "1 ball" : `${balls} balls`;
-  return `${what} · ${number} · ${models.join(", ")}`;
+  return `${what} · ${number} · ${source === "camera" ? "auto" : models.join(", ")}`;
 }

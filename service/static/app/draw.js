@@ -5,6 +5,9 @@ import { CASING, DOUBTFUL, faded, ON_PICTURES, TRUTH } from "./palette.js";
 import { LAST_SEEN } from "./state.js";
 import { isDoubtful } from "./verdict.js";
 
+/** How many ellipses along the way leave the ball of a running picture in sight. */
+const LIVE_ELLIPSES = 6;
+
 /**
  * @typedef {object} Picture
  * @property {CanvasImageSource | null} frame what the camera saw then
@@ -24,19 +27,7 @@ import { isDoubtful } from "./verdict.js";
  * @param {Picture} picture
  */
 export function drawMoment(context, side, picture) {
-  const { width, height } = picture;
-  const scale = side / Math.max(width, height);
-  const pen = { context, scale, unit: side / 560 };
-  context.save();
-  context.lineJoin = context.lineCap = "round";
-  context.fillStyle = "#08090b";
-  context.fillRect(0, 0, side, side);
-  // Rectangles stand in the middle of the square.
-  context.translate((side - width * scale) / 2, (side - height * scale) / 2);
-  context.beginPath();
-  context.rect(0, 0, width * scale, height * scale);
-  context.clip();
-  drawFrame(context, width * scale, height * scale, picture);
+  const pen = begin(context, side, picture);
   for (const forecast of picture.forecasts) drawSeen(pen, forecast, picture.index);
   const step = picture.index - LAST_SEEN;
   if (picture.ellipses) {
@@ -64,15 +55,66 @@ export function drawMoment(context, side, picture) {
   context.restore();
 }
 
+/**
+ * A frame of a running picture with the forecast of an earlier one: the whole path, and a ring where
+ * the forecast has each ball by now.
+ * @param {{frame: CanvasImageSource, width: number, height: number, ellipses: boolean,
+ *   forecast: object | null, step: number}} picture `step` of the forecast that the frame shows, a
+ *   fraction
+ */
+export function drawLive(context, side, picture) {
+  const pen = begin(context, side, picture);
+  const { forecast, step } = picture;
+  if (forecast) {
+    const last = forecast.times.length - 1;
+    if (picture.ellipses) drawDoubt(pen, forecast, last, Math.ceil(last / LIVE_ELLIPSES));
+    for (const [index, ball] of forecast.objects.entries()) {
+      const color = colorOf(forecast, index);
+      drawPath(pen, ball.positions, color, 3);
+      drawMark(pen, ball.positions[last], forecast.slot, color);
+      if (step > last) continue; // the forecast does not reach this picture
+      const [x, y] = between(ball.positions, Math.max(step, 0));
+      drawPlace(pen, { x, y, radius: ball.seen?.[LAST_SEEN].radius ?? 0 }, color);
+    }
+  }
+  context.restore();
+}
+
+/** A position between two steps. */
+function between(positions, step) {
+  const [before, after] = [Math.floor(step), Math.ceil(step)].map((index) => positions[index]);
+  const share = step - Math.floor(step);
+  return before.map((value, axis) => value + share * (after[axis] - value));
+}
+
+/** Draw the frame of a picture in the middle of a square; `context` is to be restored afterwards. */
+function begin(context, side, picture) {
+  const { width, height } = picture;
+  const scale = side / Math.max(width, height);
+  context.save();
+  context.lineJoin = context.lineCap = "round";
+  context.fillStyle = "#08090b";
+  context.fillRect(0, 0, side, side);
+  context.translate((side - width * scale) / 2, (side - height * scale) / 2);
+  context.beginPath();
+  context.rect(0, 0, width * scale, height * scale);
+  context.clip();
+  drawFrame(context, width * scale, height * scale, picture);
+  return { context, scale, unit: side / 560 };
+}
+
 /** Rings where the model saw the balls in a seen frame. */
-export function drawSeen({ context, scale, unit }, forecast, frame) {
+export function drawSeen(pen, forecast, frame) {
   for (const [index, ball] of (forecast.done?.objects ?? []).entries()) {
     const place = ball.seen?.[frame];
-    if (!place) continue;
-    context.beginPath();
-    context.arc(place.x * scale, place.y * scale, Math.max(place.radius * scale, 4 * unit), 0, 2 * Math.PI);
-    outline(context, colorOf(forecast, index), 2 * unit, unit);
+    if (place) drawPlace(pen, place, colorOf(forecast, index));
   }
+}
+
+function drawPlace({ context, scale, unit }, { x, y, radius }, color) {
+  context.beginPath();
+  context.arc(x * scale, y * scale, Math.max(radius * scale, 4 * unit), 0, 2 * Math.PI);
+  outline(context, color, 2 * unit, unit);
 }
 
 /** The points that were chosen, with their numbers. */
@@ -111,12 +153,12 @@ function drawFrame(context, width, height, { frame, lastFrame }) {
 }
 
 /** Ellipses of 95 % along the way, and of 95 % and 50 % for now. */
-function drawDoubt({ context, scale, unit }, forecast, step) {
+function drawDoubt({ context, scale, unit }, forecast, step, every = 2) {
   for (const [index, ball] of forecast.objects.entries()) {
     const color = colorOf(forecast, index);
     const last = Math.min(step, ball.positions.length - 1);
     context.fillStyle = faded(color, 0.07);
-    for (let past = last % 2; past < last; past += 2) {
+    for (let past = last % every; past < last; past += every) {
       trace(context, scale, ball.positions[past], ball.covariances[past], MOST);
       context.fill();
     }

@@ -7,8 +7,9 @@ import { installControls, possible, showControls, showSimulation } from "./contr
 import { byId } from "./dom.js";
 import { signedSeconds } from "./figures.js";
 import { LazySurface } from "./lazy_surface.js";
+import { Live } from "./live.js";
 import { clearMessages, showError, showWait } from "./messages.js";
-import { finalStepOf, forAnyNumber, leading, rateOf, readRectangles } from "./models.js";
+import { AUTO, finalStepOf, forAnyNumber, leading, rateOf, readRectangles } from "./models.js";
 import { Picks } from "./picks.js";
 import { Player } from "./player.js";
 import { showFigures, showHealth, showLegend, showNotes } from "./readout.js";
@@ -67,6 +68,23 @@ const bring = new Bring({
   canvas: () => stage.single(),
 });
 
+const live = new Live({
+  canvas: () => stage.single(),
+  wanted() {
+    const choices = { ...store.get(), models: [AUTO] };
+    const fields = { model: AUTO, horizon: choices.horizon };
+    if (choices.balls) fields.num_objects = choices.balls;
+    return {
+      fields,
+      rate: rateOf(entries, choices),
+      isWhole: readRectangles(entries, choices),
+      ellipses: choices.ellipses,
+    };
+  },
+  changed: requestShow,
+  clip: (file) => bring.open([file]),
+});
+
 const picks = new Picks({
   isOpen: () => session.take !== null && !editing && forAnyNumber(entries, store.get()) !== null,
   isLastSeen: () => player.index === LAST_SEEN && !player.playing,
@@ -100,6 +118,7 @@ let interrupted = false;
 async function run() {
   const choices = store.get();
   const asked = JSON.stringify(choices);
+  if (choices.source === "camera") return;
   if (running === asked || (choices.source === "footage" && !bring.footage)) return;
   running = asked;
   interrupted = false;
@@ -225,8 +244,9 @@ function requestShow() {
 
 function show() {
   isAsked = false;
-  const { take, forecasts } = session;
   const choices = store.get();
+  const { take } = session;
+  const forecasts = choices.source === "camera" ? live.forecasts : session.forecasts;
   const truth = take?.truth ?? null;
   const steps = forecasts.map(({ times, state }) => (state === "failed" ? Infinity : times.length));
   const least = Math.min(...(steps.length ? steps : [1]));
@@ -235,9 +255,10 @@ function show() {
   showLegend(forecasts, truth !== null);
   showVerdict(forecasts);
   showNotes(take, forecasts);
-  chart.show(forecasts, truth, take ? (player.last - LAST_SEEN) / take.rate : 1);
+  // Of a running picture there is no time to look at a chart.
+  chart.show(take ? forecasts : [], truth, take ? (player.last - LAST_SEEN) / take.rate : 1);
   surface.show(take, forecasts);
-  sharing.show(forecasts.length > 0 && forecasts.every(({ state }) => state === "done"));
+  sharing.show(take !== null && forecasts.length > 0 && forecasts.every(({ state }) => state === "done"));
   byId("recrop").hidden = !(choices.source === "footage" && take);
   byId("drop").classList.toggle("done", bring.footage !== null);
   if (take) {
@@ -279,15 +300,19 @@ store.subscribe((choices, before) => {
     store.set({ points: "" });
     return;
   }
+  const shown = lastShown;
+  if (choices.source !== "camera" && shown.source === "camera") live.stop();
   picks.points = pointsOf(choices);
   history.replaceState(null, "", `#${fragmentOf(choices)}`);
   showControls(choices, entries, store);
   player.speed = choices.speed;
   const asked = (all) => JSON.stringify({ ...all, ...Object.fromEntries(LOOKS.map((name) => [name, 0])) });
-  if (asked(choices) === asked(lastShown ?? before)) requestShow();
-  else if (choices.source === "footage") {
+  if (asked(choices) === asked(shown)) requestShow();
+  else if (choices.source === "camera") {
+    if (shown.source !== "camera") enterLive();
+  } else if (choices.source === "footage") {
     const isOther = suit(choices);
-    if (bring.footage && (editing || isOther || before.source !== "footage")) edit();
+    if (bring.footage && (editing || isOther || shown.source !== "footage")) edit();
     else if (bring.footage) run();
     else empty();
   } else {
@@ -303,17 +328,29 @@ function isOtherScene(choices, before) {
 }
 
 /** The choices that the page showed last: some changes take several steps. */
-let lastShown = null;
+let lastShown = store.get();
 
 /** Nothing has been brought yet. */
 function empty() {
+  showNothing("empty", "Bring a video, or at least four images");
+}
+
+/** The camera waits to be started. */
+function enterLive() {
+  leaveEditing();
+  clearMessages();
+  showNothing("live", "Live from the camera");
+}
+
+function showNothing(mode, title) {
   stop();
   session.take = null;
   session.forecasts = [];
   player.pause();
   showBusy(null);
-  byId("stage").dataset.mode = "empty";
-  byId("stage-title").textContent = "Bring a video, or at least four images";
+  byId("badge").textContent = "";
+  byId("stage").dataset.mode = mode;
+  byId("stage-title").textContent = title;
   stage.single();
   requestShow();
 }

@@ -19,7 +19,7 @@ export function fitting(entries, choices) {
         entry.status === "ready" &&
         follows(entry, choices) &&
         entry.frames === (finalFrame ? 5 : 4) &&
-        (source === "footage" || knows(entry, scenario)),
+        (source !== "scene" || knows(entry, scenario)),
     )
     .sort((a, b) => errorOf(a) - errorOf(b));
 }

@@ -173,11 +173,7 @@ export class Session {
     if (this.take.kind === "scene") {
       return { ...fields, frames, ...(final && { final_frame: final }) };
     }
-    const form = new FormData();
-    for (const [name, value] of Object.entries(fields)) {
-      form.append(name, typeof value === "object" ? JSON.stringify(value) : String(value));
-    }
-    for (const [index, file] of frames.entries()) form.append("frames", file, `frame-${index}.png`);
+    const form = formOf(fields, frames);
     if (final) form.append("final_frame", final, "final.png");
     return form;
   }
@@ -211,6 +207,16 @@ export class Session {
       }
     }
   }
+}
+
+/** A body of /predict with its images as file parts. */
+export function formOf(fields, frames) {
+  const form = new FormData();
+  for (const [name, value] of Object.entries(fields)) {
+    form.append(name, typeof value === "object" ? JSON.stringify(value) : String(value));
+  }
+  for (const [index, file] of frames.entries()) form.append("frames", file, `frame-${index}`);
+  return form;
 }
 
 /** What was typed as a number; if it is none, the service shall say what it expects. */
@@ -255,7 +261,8 @@ export function pngOf(canvas) {
   return new Promise((resolve) => canvas.toBlob(resolve, "image/png"));
 }
 
-function pause(ms, signal) {
+/** Wait, unless a signal ends that. */
+export function pause(ms, signal) {
   return new Promise((resolve, reject) => {
     const timer = setTimeout(resolve, ms);
     signal.addEventListener("abort", () => {

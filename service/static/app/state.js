@@ -4,7 +4,7 @@ import { readScene } from "./scene_panel.js";
 
 /**
  * @typedef {object} Choices
- * @property {"scene" | "footage"} source
+ * @property {"scene" | "footage" | "camera"} source
  * @property {"hemisphere" | "ellipsoid" | "heightfield" | "table"} scenario
  * @property {number} balls 0 leaves the number to the model, of footage
  * @property {string} points of the last seen frame that select balls: "x,y;x,y", pixels

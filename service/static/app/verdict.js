@@ -5,6 +5,9 @@ const SURE = 0.5;
 /** How the service's warning about unfamiliar frames begins. */
 const UNFAMILIAR = "The frames look unlike";
 
+/** How it begins about four frames that are the same. */
+const STILL = "Nothing moves in the four frames";
+
 /** Whether a forecast says that its frames are unlike those of the training. */
 export function isUnfamiliar({ done }) {
   return (done?.warnings ?? []).some((warning) => warning.startsWith(UNFAMILIAR));
@@ -49,6 +52,7 @@ function sentenceOf(forecast) {
     const which = done.objects.length === 1 ? "" : `Ball ${doubted.id + 1}: `;
     return say(which + doubted.warnings[0], true);
   }
+  if (done.warnings?.some((warning) => warning.startsWith(STILL))) return say(`${STILL}.`, true);
   const scores = done.objects.map(({ score }) => score ?? null);
   if (scores.includes(null)) return say("", false);
   const found = scores.length === 1 ? "Ball found" : `${scores.length} balls found`;

@@ -24,6 +24,10 @@ def test_every_answer_says_what_a_browser_may_do_with_it(client):
         assert answer.headers["x-content-type-options"] == "nosniff", answer.url
         assert answer.headers["referrer-policy"] == "no-referrer"
         assert answer.headers["cross-origin-resource-policy"] == "same-origin"
+        devices = answer.headers["permissions-policy"].split(", ")
+        is_demo = answer.url.path == "/"
+        assert ("camera=(self)" if is_demo else "camera=()") in devices
+        assert {"microphone=()", "geolocation=()", "display-capture=()"} <= set(devices)
         policy = answer.headers["content-security-policy"]
         assert "frame-ancestors 'none'" in policy
         is_page = answer.headers["content-type"].startswith("text/html")
