@@ -59,6 +59,34 @@ def select(page: Page, *places: np.ndarray) -> None:
         until_forecast(page)
 
 
+SAVES_DATA = """
+window.savesData = true;
+Object.defineProperty(navigator, "connection", {
+  get: () => ({ saveData: window.savesData }),
+});
+"""
+
+
+def test_points_stay_on_their_ball_when_the_frames_change_size(
+    open_page: OpenPage, address: str, places: np.ndarray
+):
+    page = open_page(address, "#balls=2")
+    page.add_init_script(SAVES_DATA)
+    page.reload()
+    until_forecast(page)
+    asked: list[Request] = []
+    page.on("request", lambda it: asked.append(it) if it.url.endswith("/stream") else None)
+    page.click("#end")
+    select(page, places[0])
+    (small,) = json.loads(asked[-1].post_data or "")["balls"]
+    page.evaluate("window.savesData = false")
+    page.locator("#horizon").fill("20")
+    until_forecast(page)
+    (large,) = json.loads(asked[-1].post_data or "")["balls"]
+    assert np.allclose((large["x"], large["y"]), places[0], atol=1)
+    assert np.allclose((small["x"], small["y"]), places[0] / 2, atol=1)
+
+
 def test_clicks_select_balls(page: Page, places: np.ndarray, model: str):
     asked: list[Request] = []
     page.on("request", lambda it: asked.append(it) if it.url.endswith("/stream") else None)

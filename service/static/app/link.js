@@ -11,7 +11,15 @@ export function isSlowLink() {
     .getEntriesByType("resource")
     .filter(({ transferSize }) => transferSize > 1000);
   const bytes = files.reduce((sum, { transferSize }) => sum + transferSize, 0);
-  const begun = Math.min(...files.map(({ startTime }) => startTime));
-  const ended = Math.max(...files.map(({ responseEnd }) => responseEnd));
-  return bytes > ENOUGH_BYTES && bytes / (ended - begun) < SLOW_BYTES_MS;
+  return bytes > ENOUGH_BYTES && bytes / busyMs(files) < SLOW_BYTES_MS;
+}
+
+/** Time in which at least one file was on its way: some are loaded minutes after the others. */
+function busyMs(files) {
+  let [busy, until] = [0, -Infinity];
+  for (const { startTime, responseEnd } of files.sort((a, b) => a.startTime - b.startTime)) {
+    busy += Math.max(responseEnd - Math.max(startTime, until), 0);
+    until = Math.max(until, responseEnd);
+  }
+  return busy;
 }

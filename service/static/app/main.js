@@ -93,14 +93,23 @@ const picks = new Picks({
     player.seek(LAST_SEEN);
   },
   size: () => session.take && { width: session.take.width, height: session.take.height },
-  changed: (points) => store.set({ points: textOf(points) }),
+  changed: (points) => store.set({ points: textOf(scaled(points, 1 / session.pointScale)) }),
   dragged: () => showMoment(player.index),
 });
+
+/** Points that select balls, in pixels of the frames. */
+function framePoints(choices) {
+  return scaled(pointsOf(choices), session.pointScale);
+}
+
+function scaled(points, factor) {
+  return points.map((pair) => pair.map((value) => value * factor));
+}
 
 /** What /predict is asked besides frames and model. */
 function requestOf(choices) {
   const horizon = session.finalIndex === null ? choices.horizon : session.finalIndex - LAST_SEEN + 1;
-  const points = pointsOf(choices);
+  const points = framePoints(choices);
   const request = { horizon };
   if (points.length) request.balls = points.map(([x, y]) => ({ x, y }));
   else if (choices.balls) request.num_objects = choices.balls;
@@ -168,6 +177,7 @@ async function run() {
 
 /** Set the clock to the beginning of what has just come. */
 function begin(choices, horizon) {
+  picks.points = framePoints(choices); // the frames may have another size than those before
   player.last = horizon - 1 + LAST_SEEN;
   player.arrived = LAST_SEEN;
   player.framesPerSecond = session.take.rate;
@@ -302,7 +312,7 @@ store.subscribe((choices, before) => {
   }
   const shown = lastShown;
   if (choices.source !== "camera" && shown.source === "camera") live.stop();
-  picks.points = pointsOf(choices);
+  picks.points = framePoints(choices);
   history.replaceState(null, "", `#${fragmentOf(choices)}`);
   showControls(choices, entries, store);
   player.speed = choices.speed;

@@ -41,6 +41,11 @@ export class Session {
     this._ended = new AbortController();
   }
 
+  /** Pixels of the frames per pixel of points in the address, where a scene has 256. */
+  get pointScale() {
+    return this.take?.kind === "scene" ? this.take.frameSize / IMAGE_SIZE : 1;
+  }
+
   /** Stop whatever runs; return the signal of what comes now. */
   begin() {
     this._ended.abort();
