@@ -20,6 +20,6 @@ mkdir -p build
 "$uv" venv --quiet --no-project --clear --python "$python" build/lowest
 "$uv" pip install --quiet --python build/lowest/bin/python ${index:+--default-index "$index"} \
     --requirements build/lowest.txt --constraints build/lowest.txt \
-    beartype hypothesis inline-snapshot markdown-it-py psutil pytest pyyaml schemathesis unasync
+    beartype hypothesis inline-snapshot markdown-it-py psutil pytest pyyaml ruff schemathesis unasync
 [ $# -gt 0 ] || set -- tests/contract tests/service tests/rollcast --ignore=tests/rollcast/simulation
 exec build/lowest/bin/python -m pytest -q "$@"
