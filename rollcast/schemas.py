@@ -179,19 +179,11 @@ class BallPrompt(RequestBody):
     """Pixels; by default estimated."""
 
 
-class PredictRequest(RequestBody):
-    """Body of ``POST /predict``, as JSON or, with the images as file parts, as multipart."""
+class SessionRequest(RequestBody):
+    """First message of a session, ``WebSocket /stream``: JSON text."""
 
     model: str = AUTO_MODEL
     """"auto", NAME (its default version) or NAME@VERSION."""
-    frames: Annotated[
-        list[EncodedImage], Field(min_length=OBSERVED_FRAMES, max_length=OBSERVED_FRAMES)
-    ]
-    """The four observed frames in order, t = -3..0: base64 of PNG, JPEG or WebP files of one size,
-    32 to 4096 pixels a side; square, except for models for any number of balls. Transparent pixels
-    are composed on white."""
-    final_frame: EncodedImage | None = None
-    """A frame of the same size that shows step ``final_step`` of the model."""
     horizon: Annotated[Integer, Field(ge=1, le=MAX_HORIZON)] | None = None
     """Number of steps, t = 0..horizon-1: 40 by default, with a final frame ``final_step`` + 1."""
     num_objects: Annotated[
@@ -200,18 +192,31 @@ class PredictRequest(RequestBody):
     ] = None
     """Number of balls: by default the named model's, with "auto" one. A model for any number of
     balls follows, by default, those that move."""
-    balls: Annotated[
-        Annotated[list[BallPrompt], Field(min_length=1, max_length=MAX_BALLS)] | None,
-        BeforeValidator(_decode_json),
-    ] = None
-    """Which balls are meant, for a model for any number of balls: one prompt a ball, in the order
-    of the answer's objects."""
     scenario: Domain | None = None
     """Narrows the choice to models made for this scenario, or for footage of a set-up of one's
     own."""
     frame_rate: Annotated[Number, Field(gt=0, le=100_000)] | None = None
     """Frames a second of the observed frames, by default as many as the model was trained on; the
     forecast's steps are as far apart."""
+
+
+class PredictRequest(SessionRequest):
+    """Body of ``POST /predict``, as JSON or, with the images as file parts, as multipart."""
+
+    frames: Annotated[
+        list[EncodedImage], Field(min_length=OBSERVED_FRAMES, max_length=OBSERVED_FRAMES)
+    ]
+    """The four observed frames in order, t = -3..0: base64 of PNG, JPEG or WebP files of one size,
+    32 to 4096 pixels a side; square, except for models for any number of balls. Transparent pixels
+    are composed on white."""
+    final_frame: EncodedImage | None = None
+    """A frame of the same size that shows step ``final_step`` of the model."""
+    balls: Annotated[
+        Annotated[list[BallPrompt], Field(min_length=1, max_length=MAX_BALLS)] | None,
+        BeforeValidator(_decode_json),
+    ] = None
+    """Which balls are meant, for a model for any number of balls: one prompt a ball, in the order
+    of the answer's objects."""
 
 
 class ModelReference(ResponseBody):
@@ -602,3 +607,26 @@ class Problem(ResponseBody):
     """The first fault, as in ``Fault``; absent when no single value is at fault."""
     errors: list[Fault] | None = None
     """Every fault, when there are several."""
+
+
+TickStatus = Literal["open", "collecting", "forecast", "superseded", "refused"]
+"""Outcome of one message of a session.
+
+``open``: the first message, the session's options, is accepted. ``collecting``: there are fewer
+than four frames. ``forecast``: the forecast from this frame and the three before it. ``superseded``:
+a newer frame arrived before the forecast from this one was begun; the frame belongs to later
+forecasts. ``refused``: ``problem`` says why."""
+
+
+class TickResponse(ResponseBody):
+    """Answer to one message of a session, ``WebSocket /stream``."""
+
+    tick: int
+    """Number of the frame, from 1; 0 answers the first message."""
+    status: TickStatus
+    latency_ms: float
+    """From the receipt of the message to this answer."""
+    forecast: PredictResponse | None = None
+    """The answer of ``POST /predict``, with the status ``forecast``."""
+    problem: Problem | None = None
+    """The problem document, with the status ``refused``."""

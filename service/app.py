@@ -29,6 +29,7 @@ from service.http.routes import (
     predict,
     repository,
     simulate,
+    stream,
 )
 from service.http.security_headers import install_headers
 from service.inference.admission import Workers
@@ -96,7 +97,7 @@ def create_app(
         if changes is not None:
             await _other_workers_accept(state, loading)
         yield
-        state.phase = "draining"
+        state.drain()
         loading.cancel()
         with suppress(asyncio.CancelledError):
             await loading
@@ -132,6 +133,7 @@ def create_app(
         app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=trusted)
     for feature in (
         predict,
+        stream,
         detect,
         simulate,
         models,

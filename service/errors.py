@@ -4,6 +4,7 @@
   x MalformedBodyError         400  the body cannot be parsed
   x UnauthorizedError          401  an API key is missing, unknown or has expired
   x ForbiddenError             403  the key lacks the scope
+  x OriginError                403  a web page of another origin opens a session
   x UnknownModelError          404
   x BodyTooSlowError           408
   x BodyTooLargeError          413
@@ -85,6 +86,12 @@ class ForbiddenError(ServiceError):
     """The API key lacks the scope."""
 
     status, slug, title = 403, "forbidden", "The API key lacks a scope"
+
+
+class OriginError(ServiceError):
+    """A web page of an origin that is not allowed opens a session."""
+
+    status, slug, title = 403, "origin-not-allowed", "The origin is not allowed"
 
 
 class UnknownModelError(ServiceError):

@@ -1,10 +1,13 @@
 """State of the running app, created and released by its lifespan."""
 
 import asyncio
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from fastapi import Depends, Request
+from fastapi import Depends
+from starlette.requests import HTTPConnection
 
 from service.auth.api_keys import ApiKeyStore
 from service.auth.rate_limit import RateLimiter
@@ -47,6 +50,10 @@ class State:
         Lock for loading and unloading models.
     phase
         ``loading`` until the models are loaded, ``draining`` after a stop signal.
+    draining
+        Event that ends sessions.
+    sessions
+        Number of open sessions.
     """
 
     settings: Settings
@@ -61,6 +68,8 @@ class State:
     registry: Registry = field(default_factory=lambda: Registry([]))
     changing: asyncio.Lock = field(default_factory=asyncio.Lock)
     phase: Literal["loading", "serving", "draining"] = "loading"
+    draining: asyncio.Event = field(default_factory=asyncio.Event)
+    sessions: int = 0
 
     @property
     def readiness(self) -> Literal["ready", "loading", "no usable model", "draining"]:
@@ -71,8 +80,24 @@ class State:
 
     @property
     def idle(self) -> bool:
-        """Return whether nothing is being computed."""
-        return self.inference.idle and self.simulation.idle
+        """Return whether nothing is being computed and no session is open."""
+        return self.inference.idle and self.simulation.idle and not self.sessions
+
+    def drain(self) -> None:
+        """Refuse new forecasts and end sessions; called in the event loop."""
+        self.phase = "draining"
+        self.draining.set()
+
+    @contextmanager
+    def session(self) -> Generator[None]:
+        """Count an open session until the block is left."""
+        self.sessions += 1
+        self.metrics.sessions.inc()
+        try:
+            yield
+        finally:
+            self.sessions -= 1
+            self.metrics.sessions.dec()
 
     def serve(self, registry: Registry) -> None:
         """Replace the models; running requests keep theirs."""
@@ -102,8 +127,8 @@ class State:
             raise NotReadyError(f"The service is {self.phase}.")
 
 
-async def _state(request: Request) -> State:
-    return request.app.state.service
+async def _state(connection: HTTPConnection) -> State:
+    return connection.app.state.service
 
 
 ServiceState = Annotated[State, Depends(_state)]

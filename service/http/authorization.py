@@ -1,9 +1,12 @@
 """Authorisation and rate limits of requests (decisions 0123 and 0127)."""
 
-from fastapi import Request
+from collections.abc import Collection
+from urllib.parse import urlsplit
+
+from starlette.requests import HTTPConnection
 
 from service.auth.api_keys import ApiKeyStore, Key, Scope
-from service.errors import ForbiddenError, UnauthorizedError
+from service.errors import ForbiddenError, OriginError, UnauthorizedError
 from service.http.problem_details import PROTOCOL_PATH
 from service.state import ServiceState
 
@@ -33,8 +36,10 @@ def scope_for(path: str) -> Scope | None:
     return "manage" if path.startswith(MANAGING_PATH) else "forecast"
 
 
-async def check_access(request: Request, service: ServiceState) -> None:
+async def check_access(request: HTTPConnection, service: ServiceState) -> None:
     """Check the API key and the rate limit of a request; a dependency of every route.
+
+    A session calls it for every forecast, too.
 
     Raises
     ------
@@ -56,7 +61,27 @@ async def check_access(request: Request, service: ServiceState) -> None:
         service.rate_limiter.hit(client_name)
 
 
-def _key(request: Request, api_keys: ApiKeyStore, scope: Scope) -> Key:
+def check_origin(connection: HTTPConnection, allowed: Collection[str]) -> None:
+    """Check the web page that opens a WebSocket, which CORS does not cover.
+
+    Programs send no ``Origin``. A page of the service has the host that the request names; its
+    scheme is not compared, since a proxy may terminate TLS.
+
+    Raises
+    ------
+    OriginError
+        If the page is neither the service's own nor of an allowed origin.
+    """
+    origin = connection.headers.get("origin")
+    if origin is None or "*" in allowed or origin in allowed:
+        return
+    if urlsplit(origin).netloc.lower() != connection.headers.get("host", "").lower():
+        raise OriginError.at(
+            "origin", origin, "an origin that ROLLCAST_ALLOWED_ORIGINS lists, or the service's own"
+        )
+
+
+def _key(request: HTTPConnection, api_keys: ApiKeyStore, scope: Scope) -> Key:
     """Return the key of a request, if it has the scope."""
     scheme, _, token = request.headers.get("authorization", "").partition(" ")
     if scheme.lower() != "bearer" or not token:

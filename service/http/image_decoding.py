@@ -31,6 +31,8 @@ SLOW_PIXELS = 8 * 2**20
 """Pixels that are decoded in about the time of a forecast, those of each scan counted."""
 DECODED_BYTES = 4096
 """Bytes that are decoded before the decoder may be interrupted."""
+MAX_KEPT_BYTES = 8 * 2**20
+"""Decoded bytes of one frame that a session keeps: 1920 x 1080 pixels have 6 MB."""
 MAX_HEADER_BYTES = 4 * 2**20
 """Bytes before the pixels of a JPEG or PNG file: profiles, previews, notes."""
 PICTURE_CHUNKS = frozenset({b"tRNS", b"eXIf"})
@@ -118,7 +120,7 @@ class OpenedFrames:
     Parameters
     ----------
     images
-        PNG, JPEG or WebP files of one size.
+        PNG, JPEG or WebP files of one size; ``KeptImage`` where their pixels serve again.
     fields
         Name of each in the request, for messages.
     check
@@ -131,11 +133,19 @@ class OpenedFrames:
     """
 
     def __init__(
-        self, images: Sequence[bytes], fields: Sequence[str], check: Check = lambda: None
+        self,
+        images: Sequence["bytes | KeptImage"],
+        fields: Sequence[str],
+        check: Check = lambda: None,
     ) -> None:
         files = zip(images, fields, strict=True)
-        self._files = [_File(data, field, check) for data, field in files]
-        self._sizes = [file.image.size for file in self._files]
+        self._files = [
+            _KeptFile(image, field, check)
+            if isinstance(image, KeptImage)
+            else _File(image, field, check)
+            for image, field in files
+        ]
+        self._sizes = [file.size for file in self._files]
         width, height = self._sizes[0]
         self.is_square = all(width == height for width, height in self._sizes)
         self.slow = width * height * sum(file.passes for file in self._files) > SLOW_PIXELS
@@ -169,9 +179,7 @@ class OpenedFrames:
         """
         self.require_squares()
         # Popped, so that the pixels of one large frame are freed before the next is decoded.
-        return np.stack(
-            [_to_network_size(_upright(self._files.pop(0).decode())) for _ in self._sizes]
-        )
+        return np.stack([self._files.pop(0).at_network_size() for _ in self._sizes])
 
     def decode_whole(self) -> UInt8[np.ndarray, "K height width 3"]:
         """Decode the frames, once, to RGB of their own size.
@@ -182,7 +190,7 @@ class OpenedFrames:
             With the field at fault.
         """
         # The pixels decide: a photo may be turned by what its header says.
-        frames = [np.asarray(_upright(self._files.pop(0).decode())) for _ in self._sizes]
+        frames = [self._files.pop(0).whole() for _ in self._sizes]
         _require_one_size([(frame.shape[1], frame.shape[0]) for frame in frames])
         return np.stack(frames)
 
@@ -200,8 +208,17 @@ class _File:
         self.field = field
         self._data, self._check = data, check
         self.image = _open(data, field, check)
+        self.size = self.image.size
         self.passes = data.count(START_OF_SCAN) if isinstance(self.image, _Jpeg) else 1
         """Times that the decoder passes over all pixels."""
+
+    def at_network_size(self) -> UInt8[np.ndarray, "128 128 3"]:
+        """Decode a square frame to RGB of the networks' size."""
+        return _to_network_size(_upright(self.decode()))
+
+    def whole(self) -> UInt8[np.ndarray, "height width 3"]:
+        """Decode to RGB of the frame's own size."""
+        return np.asarray(_upright(self.decode()))
 
     def decode(self) -> Image.Image:
         """Decode the pixels; a JPEG file may lack its last marker, but no pixel."""
@@ -220,6 +237,74 @@ class _File:
                 raise BrokenImageError.at(self.field, value, expected) from error
             return whole[0].image
         return self.image
+
+
+class KeptImage:
+    """An image file that several forecasts read; its pixels are decoded once.
+
+    Pixels at the networks' size are always kept, whole ones up to MAX_KEPT_BYTES.
+
+    Parameters
+    ----------
+    data
+        The file.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self.size: tuple[int, int] | None = None
+        """Width and height, once the header has been read."""
+        self.small: UInt8[np.ndarray, "128 128 3"] | None = None
+        self.pixels: UInt8[np.ndarray, "height width 3"] | None = None
+
+    @property
+    def held_bytes(self) -> int:
+        """Bytes of the file and of its pixels."""
+        kept = [pixels.nbytes for pixels in (self.small, self.pixels) if pixels is not None]
+        return len(self.data) + sum(kept)
+
+    def forget_pixels(self) -> None:
+        """Keep the file alone."""
+        self.small = self.pixels = None
+
+
+class _KeptFile:
+    """The file of a ``KeptImage``, opened only where its pixels are not kept."""
+
+    def __init__(self, image: KeptImage, field: str, check: Check) -> None:
+        self.field = field
+        self._image, self._check = image, check
+        self._file = None if _is_decoded(image) else self._open()
+        self.passes = 0 if self._file is None else self._file.passes
+        if self._file is not None:
+            image.size = self._file.size
+        assert image.size is not None
+        self.size = image.size
+
+    def at_network_size(self) -> UInt8[np.ndarray, "128 128 3"]:
+        image = self._image
+        if image.small is None:
+            if image.pixels is None:
+                image.small = (self._file or self._open()).at_network_size()
+            else:
+                # Where a model of this size answers, whole pixels are hardly needed again.
+                image.small, image.pixels = _to_network_size(Image.fromarray(image.pixels)), None
+        return image.small
+
+    def whole(self) -> UInt8[np.ndarray, "height width 3"]:
+        pixels = self._image.pixels
+        if pixels is None:
+            pixels = (self._file or self._open()).whole()
+            if pixels.nbytes <= MAX_KEPT_BYTES:
+                self._image.pixels = pixels
+        return pixels
+
+    def _open(self) -> _File:
+        return _File(self._image.data, self.field, self._check)
+
+
+def _is_decoded(image: KeptImage) -> bool:
+    return image.small is not None or image.pixels is not None
 
 
 def _open(data: bytes, field: str, check: Check) -> ImageFile.ImageFile:

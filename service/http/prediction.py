@@ -30,7 +30,7 @@ from rollcast.schemas import (
 )
 from service.errors import InvalidValueError
 from service.http.found_balls import RequestBalls
-from service.http.image_decoding import Check, OpenedFrames
+from service.http.image_decoding import OpenedFrames
 from service.http.request_body import Parser
 from service.inference.ball_predictor import BallPredictor
 from service.inference.deadlines import CancellationToken
@@ -111,7 +111,7 @@ class _Forecast:
         if request.num_objects not in (None, self._number):
             expected = f"{self._number}, the number of balls"
             raise InvalidValueError.at("num_objects", request.num_objects, expected)
-        opened = _open(request, self._token.raise_if_cancelled)
+        opened = self._open()
         square = request.model != AUTO_MODEL or opened.is_square
         query = ModelQuery(
             request.model,
@@ -164,7 +164,17 @@ class _Forecast:
 
     def _decoded_anew(self, other: Predictor) -> DecodedRequest:
         """Decode the frames once more, at the size that another model reads."""
-        return self._decoded(other, _open(self.request, self._token.raise_if_cancelled))
+        return self._decoded(other, self._open())
+
+    def _open(self) -> OpenedFrames:
+        """Read the headers of the frames."""
+        request = self.request
+        images = [*request.frames]
+        fields = [f"frames[{index}]" for index in range(len(images))]
+        if request.final_frame is not None:
+            images.append(request.final_frame)
+            fields.append("final_frame")
+        return OpenedFrames(images, fields, self._token.raise_if_cancelled)
 
     def _with_balls(self, predictor: BallPredictor, opened: OpenedFrames) -> DecodedRequest:
         """Find the balls in the frames as they were sent."""
@@ -396,13 +406,6 @@ def _horizon(request: PredictRequest, manifest: Manifest) -> int:
         expected = f"{fixed}: the final frame of {manifest.label} shows step {manifest.final_step}"
         raise InvalidValueError.at("horizon", request.horizon, expected)
     return fixed
-
-
-def _open(request: PredictRequest, check: Check) -> OpenedFrames:
-    fields = [f"frames[{index}]" for index in range(len(request.frames))]
-    if request.final_frame is None:
-        return OpenedFrames(request.frames, fields, check)
-    return OpenedFrames([*request.frames, request.final_frame], [*fields, "final_frame"], check)
 
 
 def _objects(

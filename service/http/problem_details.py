@@ -63,9 +63,9 @@ def install_problem_handlers(app: FastAPI) -> None:
         app.add_exception_handler(kind, _answer)
 
 
-def document(error: ServiceError) -> str:
-    """Return the problem document of a refusal that comes too late for a status of its own."""
-    return json.dumps(_members(_refusal(error)))
+def document(error: Exception) -> str:
+    """Return the problem document of a failure that comes too late for a status of its own."""
+    return json.dumps(_members(_problem(error)))
 
 
 def invalid_values(errors: Sequence[Any]) -> ServiceError:
@@ -114,7 +114,7 @@ async def _answer(request: Request, error: Exception) -> Response:
     match error:
         case ServiceError():
             request.app.state.service.metrics.refusal(error.slug)
-            problem = _refusal(error)
+            problem = _problem(error)
             if isinstance(error, UnauthorizedError):
                 headers["WWW-Authenticate"] = "Bearer"
             if isinstance(error, TooManyRequestsError):
@@ -122,8 +122,7 @@ async def _answer(request: Request, error: Exception) -> Response:
             if isinstance(error, PASSING):
                 headers["Retry-After"] = str(RETRY_AFTER_S)
         case MemoryError():
-            refusal = OutOfMemoryError("There is not enough memory for this request.")
-            return await _answer(request, refusal)
+            return await _answer(request, _out_of_memory())
         case RequestValidationError():
             parameters = [fault | {"loc": fault["loc"][1:]} for fault in error.errors()]
             problem = _refusal(invalid_values(parameters))
@@ -131,12 +130,7 @@ async def _answer(request: Request, error: Exception) -> Response:
             problem = _http_problem(request, error)
             headers.update(error.headers or {})
         case _:
-            problem = Problem(
-                type="/problems/internal-error",
-                title="The service failed",
-                status=500,
-                detail="The service failed; its log contains the reason.",
-            )
+            problem = _problem(error)
             # What adds these to every other answer is not asked when a route fails.
             headers |= ALWAYS | {POLICY: NOTHING_RUNS}
             if (failed := request_id()) is not None:
@@ -147,6 +141,26 @@ async def _answer(request: Request, error: Exception) -> Response:
     return Response(
         json.dumps(_members(problem)), problem.status, headers=headers, media_type=MEDIA_TYPE
     )
+
+
+def _problem(error: Exception) -> Problem:
+    """Return the problem of a refusal or of a failure."""
+    match error:
+        case ServiceError():
+            return _refusal(error)
+        case MemoryError():
+            return _refusal(_out_of_memory())
+        case _:
+            return Problem(
+                type="/problems/internal-error",
+                title="The service failed",
+                status=500,
+                detail="The service failed; its log contains the reason.",
+            )
+
+
+def _out_of_memory() -> OutOfMemoryError:
+    return OutOfMemoryError("There is not enough memory for this request.")
 
 
 def _refusal(error: ServiceError) -> Problem:

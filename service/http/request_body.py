@@ -98,14 +98,16 @@ async def received(request: Request, limit: int | None = None) -> AsyncGenerator
     with service.bodies.body() as held:
         seconds = service.settings.read_timeout_s
         try:
-            async with asyncio.timeout(seconds) as held.timeout:
+            async with asyncio.timeout(seconds) as timeout:
+                loop = asyncio.get_running_loop()
+                held.give_up = lambda: timeout.reschedule(loop.time())
                 body = await _read(request, most, held)
         except TimeoutError as error:
             if held.evicted:
                 raise service.bodies.exceeded() from error
             raise BodyTooSlowError(f"The body was not complete after {seconds:g} s.") from error
         finally:
-            held.timeout = None
+            held.give_up = None
         if held.evicted:
             raise service.bodies.exceeded()
         yield body

@@ -20,7 +20,7 @@ class RootPath:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer as the app does."""
-        if scope["type"] == "http":
+        if scope["type"] in {"http", "websocket"}:
             path: str = scope["path"]
             if not f"{path}/".startswith(f"{self._prefix}/"):
                 path = self._prefix + path

@@ -40,7 +40,8 @@ class SecurityHeaders:
         """Answer as the app does."""
 
         async def with_headers(message: Message) -> None:
-            if message["type"] == "http.response.start":
+            # A refused WebSocket is answered as a request is.
+            if message["type"].removeprefix("websocket.") == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 for name, value in self._always.items():
                     headers.setdefault(name, value)

@@ -1,33 +1,33 @@
 """A budget of bytes over all request bodies that a process holds at a time."""
 
-import asyncio
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
 from service.errors import TooManyBodiesError
 
 
 class HeldBody:
-    """One request body: what it takes of the budget."""
+    """One request body, or the frames of a session: its share of the budget."""
 
     def __init__(self) -> None:
         self.size = 0
-        self.timeout: asyncio.Timeout | None = None
-        """Ends the reading of the body; None once it has been read."""
+        self.give_up: Callable[[], None] | None = None
+        """Callback that stops reading the body or drops the frames; None once a body is read."""
         self.evicted = False
 
     def evict(self) -> None:
-        """Stop reading the body, in the task that reads it."""
+        """Give the bytes up."""
         self.evicted = True
-        assert self.timeout is not None
-        self.timeout.reschedule(asyncio.get_running_loop().time())
+        assert self.give_up is not None
+        self.give_up()
 
 
 class BodyBudget:
     """Counts the bytes of all bodies from their arrival until their requests have been parsed.
 
-    Over the limit, the largest body that is still arriving is given up: many large uploads that
-    never end cost their senders, and leave room for requests of the usual size.
+    Over the limit, the largest of those that can be given up is given up: bodies and messages that
+    are still arriving, and the frames that sessions hold. Many large uploads that never end cost
+    their senders, and leave room for requests of the usual size.
 
     Parameters
     ----------
@@ -59,11 +59,25 @@ class BodyBudget:
         TooManyBodiesError
             When there is no room for them, and no larger body is still arriving.
         """
-        body.size += size
+        self.resize(body, body.size + size)
+
+    def resize(self, body: HeldBody, size: int) -> None:
+        """Count a body with another size; with 0 it is released.
+
+        Raises
+        ------
+        TooManyBodiesError
+            When there is no room for it; it is released then.
+        """
+        self._release(body)
+        if not size:
+            return
+        self._held.add(body)
+        body.size = size
         self.size += size
         while self.size > self._limit:
-            arriving = [held for held in self._held if held.timeout is not None]
-            largest = max(arriving, key=lambda held: held.size)
+            evictable = [held for held in self._held if held.give_up is not None]
+            largest = max(evictable, key=lambda held: held.size, default=body)
             self._release(largest)
             if largest is body:
                 raise self.exceeded()
@@ -77,3 +91,4 @@ class BodyBudget:
         if body in self._held:
             self._held.remove(body)
             self.size -= body.size
+            body.size = 0

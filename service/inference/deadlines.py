@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import TypeVar
 
 from fastapi import Request
+from starlette.requests import HTTPConnection
 
 from service.errors import DeadlineExceededError, InvalidValueError
 from service.settings import Settings
@@ -49,7 +50,7 @@ class CancellationToken:
             raise ClientGoneError
 
 
-def timeout_s(request: Request, settings: Settings) -> float:
+def timeout_s(request: HTTPConnection, settings: Settings) -> float:
     """Seconds that a request may take: what its header asks for, at most what the settings allow.
 
     Raises
@@ -98,6 +99,28 @@ async def answered(
         work.cancel()
         with suppress(asyncio.CancelledError, Exception):
             await gone
+
+
+async def awaited(timeout: float, submit: Callable[[CancellationToken], Future[T]]) -> T:
+    """Submit a call and return its result; cancelled, the call is cancelled too.
+
+    Raises
+    ------
+    DeadlineExceededError
+        When it takes longer than ``timeout`` seconds, the wait in the queue included.
+    QueueFullError
+        When it is not taken.
+    """
+    token = CancellationToken()
+    work = asyncio.wrap_future(submit(token))
+    try:
+        done, _ = await asyncio.wait({work}, timeout=timeout)
+        if not done:
+            raise DeadlineExceededError(f"The answer was not there after {timeout:g} s.")
+        return work.result()
+    finally:
+        token.cancel()
+        work.cancel()
 
 
 async def streamed(

@@ -20,16 +20,24 @@ from service.auth.api_keys import without_tokens
 Count: TypeAlias = Callable[[str, str, int, float], None]
 """Callback with the route's path, the method, the status and the seconds of a request."""
 
+RESPONSE_STARTS = frozenset(
+    {"http.response.start", "websocket.http.response.start", "websocket.accept"}
+)
+"""Messages of an application that begin a response."""
 LONGEST_PATH = 1000
 """Characters of a path that a log line shows: a head may hold sixty times as many."""
 
 access = logging.getLogger("service.http.authorization")
+WEBSOCKET_LOGGER = "uvicorn.error.websocket"
+"""Logger of WebSocket connections; their handshakes are in the access log already."""
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
 
 
 class AccessLog:
-    """Middleware that logs every request after its response.
+    """Middleware that logs every request after its response, and every session at its end.
+
+    A session counts as a request that its handshake answers with 101.
 
     Parameters
     ----------
@@ -48,16 +56,19 @@ class AccessLog:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer as the app does."""
-        if scope["type"] != "http":
+        if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
         begun = time.perf_counter()
-        status = 500
+        status, answered_s = 500, None
 
         async def noted(message: Message) -> None:
-            nonlocal status
-            if message["type"] == "http.response.start":
-                status = message["status"]
+            nonlocal status, answered_s
+            if message["type"] in RESPONSE_STARTS:
+                status = message.get("status", 101)
+                if scope["type"] == "websocket":
+                    answered_s = time.perf_counter() - begun
+                    MutableHeaders(scope=message).setdefault(REQUEST_ID_HEADER, request_id() or "")
                 if self._replica:
                     MutableHeaders(scope=message)[REPLICA_HEADER] = self._replica
             await send(message)
@@ -67,14 +78,15 @@ class AccessLog:
         finally:
             seconds = time.perf_counter() - begun
             if (route := scope.get("route")) is not None:
-                self._count(route.path, scope["method"], status, seconds)
+                method = scope.get("method", "GET")
+                self._count(route.path, method, status, answered_s or seconds)
             if access.isEnabledFor(logging.INFO):
                 self._write(scope, status, seconds)
 
     def _write(self, scope: Scope, status: int, seconds: float) -> None:
         parts = {
             "client": ":".join(map(str, scope["client"] or ())),
-            "method": scope["method"],
+            "method": scope.get("method", "GET"),
             "path": quote(scope["path"][:LONGEST_PATH]),
             "status": status,
             "duration_ms": round(1e3 * seconds, 1),
@@ -146,6 +158,9 @@ def configuration(log_format: Literal["json", "text"], log_requests: bool) -> di
         "disable_existing_loggers": False,
         "formatters": {"lines": formatter},
         "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "lines"}},
-        "loggers": {access.name: {"level": "INFO" if log_requests else "WARNING"}},
+        "loggers": {
+            access.name: {"level": "INFO" if log_requests else "WARNING"},
+            WEBSOCKET_LOGGER: {"level": "WARNING"},
+        },
         "root": {"handlers": ["stderr"], "level": "INFO"},
     }

@@ -12,7 +12,7 @@ from prometheus_client import (
 )
 from prometheus_client.multiprocess import MultiProcessCollector
 
-from rollcast.schemas import PredictTiming
+from rollcast.schemas import PredictTiming, TickStatus
 from service.inference.rollout import Predictor
 from service.serving.registry import Registry
 from service.settings import metrics_folder
@@ -57,6 +57,19 @@ class Metrics:
             ["model"],
             registry=self.registry,
             buckets=BATCHES,
+        )
+        self.sessions = Gauge(
+            "rollcast_sessions",
+            "Open sessions",
+            registry=self.registry,
+            multiprocess_mode="livesum",
+        )
+        self.sessions.set(0)
+        self._ticks = Counter(
+            "rollcast_session_ticks",
+            "Answered frames of sessions, by status",
+            ["status"],
+            registry=self.registry,
         )
         self._rejected = Counter(
             "rollcast_rejected_requests", "Rejected requests", ["reason"], registry=self.registry
@@ -103,6 +116,10 @@ class Metrics:
     def refusal(self, problem: str) -> None:
         """Count a refused request by the last part of its problem's type."""
         self._rejected.labels(problem).inc()
+
+    def tick(self, status: TickStatus) -> None:
+        """Count an answered frame of a session."""
+        self._ticks.labels(status).inc()
 
     def models(self, registry: Registry) -> None:
         """Set the number of models, and create the metrics of served models."""

@@ -1,17 +1,23 @@
-"""Time limits of connections, for slow requests and unread responses.
+"""Limits of connections, for slow requests, unread responses and messages in many pieces.
 
-Uvicorn has neither limit: a request that never ends, or a response that the client does not
+Uvicorn has none of these limits: a request that never ends, or a response that the client does not
 read, would hold a descriptor and memory until the client disconnects.
 """
 
 import asyncio
+import logging
 from collections.abc import Callable
 from typing import Any
 
 from uvicorn.config import Config
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from uvicorn.server import ServerState
+from websockets.frames import Frame
 
+from service.errors import TooManyBodiesError
+from service.inference.body_budget import BodyBudget, HeldBody
+from service.observability.log_config import WEBSOCKET_LOGGER
 from service.settings import Settings
 
 MAX_HEAD_BYTES = 64 * 1024
@@ -20,6 +26,14 @@ OVERHEAD_RATIO = 8
 """Framing bytes (chunk lengths, trailers) allowed per body byte, beyond those of a head.
 
 A chunk of one byte has five."""
+MAX_UNREAD_PONGS = 100
+"""Pings that are answered while a WebSocket client reads nothing."""
+PIECE_OVERHEAD = 64
+"""Bytes of memory that a piece of a message takes beside its content."""
+MESSAGE_MARGIN = 2**20
+"""Bytes of overhead allowed for the pieces of one message."""
+TRY_AGAIN_LATER = 1013
+MESSAGE_TOO_BIG = 1009
 LOOKS = 4
 """Times that a connection is looked at before its time is over."""
 
@@ -96,11 +110,18 @@ class Connection(HttpToolsProtocol):
     def on_headers_complete(self) -> None:
         """Give the body its own time, and the app a chance to refuse it by name."""
         super().on_headers_complete()
-        if self._stopping():
-            self.cycle.keep_alive = False
+        cycle = self.cycle  # an upgrade to a WebSocket has none
+        if cycle is not None and self._stopping():  # pyright: ignore[reportUnnecessaryComparison]
+            cycle.keep_alive = False
         self._awaited_since = self.loop.time() + self._interval
         self._head_bytes = None
         self._framing = 0
+
+    def handle_websocket_upgrade(self) -> None:
+        """Hand the connection over; a ``WebSocketConnection`` has limits of its own."""
+        if self._look_again is not None:
+            self._look_again.cancel()
+        super().handle_websocket_upgrade()
 
     def on_body(self, body: bytes) -> None:
         """Count framing bytes: the parser keeps trailers and chunk extensions in memory."""
@@ -126,6 +147,121 @@ class Connection(HttpToolsProtocol):
             self._taken_at = now
         self._untaken = untaken
         late = self._awaited_since is not None and now > self._awaited_since + self._receive_s
+        if late or now > self._taken_at + self._send_s:
+            self.transport.abort()
+        else:
+            self._look_again = self.loop.call_later(self._interval, self._look)
+
+
+class WebSocketConnection(WebSocketsSansIOProtocol):
+    """Uvicorn's own, with limits.
+
+    Parameters
+    ----------
+    settings
+        Its limits.
+    bodies
+        Returns the budget of bodies, in which messages count while they arrive.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        server_state: ServerState,
+        app_state: dict[str, Any],
+        _loop: asyncio.AbstractEventLoop | None = None,
+        *,
+        settings: Settings,
+        bodies: Callable[[], BodyBudget],
+    ) -> None:
+        super().__init__(config, server_state, app_state, _loop)
+        self.logger = logging.getLogger(WEBSOCKET_LOGGER)
+        self._bodies = bodies()
+        self._held = HeldBody()
+        self._held.give_up = lambda: self._fail(TRY_AGAIN_LATER, "too many messages in memory")
+        self._receive_s = settings.read_timeout_s
+        self._send_s = settings.write_timeout_s
+        self._interval = min(self._receive_s, self._send_s) / LOOKS
+        self._look_again = self.loop.call_later(self._interval, self._look)
+        self._pieces_bytes = 0
+        """Bytes of the finished pieces of an unfinished message, with their overhead."""
+        self._arriving_since: float | None = None
+        self._unread_pongs = 0
+        self._untaken = 0
+        self._taken_at = self.loop.time()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Look no more, and release the bytes of an unfinished message."""
+        self._look_again.cancel()
+        self._bodies.resize(self._held, 0)
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Read, and count the bytes of the message that arrives."""
+        super().data_received(data)
+        if self.transport.is_closing():
+            return
+        arriving = len(self.conn.reader.buffer) + self._pieces_bytes
+        if not arriving:
+            self._arriving_since = None
+        elif self._arriving_since is None:
+            self._arriving_since = self.loop.time()
+        if self._pieces_bytes > self.config.ws_max_size + MESSAGE_MARGIN:
+            self._fail(MESSAGE_TOO_BIG, "a message in too many pieces")
+            return
+        try:
+            self._bodies.resize(self._held, arriving)
+        except TooManyBodiesError:
+            self._fail(TRY_AGAIN_LATER, "too many messages in memory")
+
+    def handle_cont(self, event: Frame) -> None:
+        """Count a further piece."""
+        self._pieces_bytes += len(event.data) + PIECE_OVERHEAD
+        super().handle_cont(event)
+
+    def handle_text(self, event: Frame) -> None:
+        """Count the first piece."""
+        self._pieces_bytes = len(event.data) + PIECE_OVERHEAD
+        super().handle_text(event)
+
+    def handle_bytes(self, event: Frame) -> None:
+        """Count the first piece."""
+        self._pieces_bytes = len(event.data) + PIECE_OVERHEAD
+        super().handle_bytes(event)
+
+    def send_receive_event_to_app(self) -> None:
+        """Hand a message over, which the session counts from now on."""
+        self._pieces_bytes = 0
+        self._arriving_since = None
+        super().send_receive_event_to_app()
+
+    def handle_ping(self) -> None:
+        """Answer, unless the client reads no answers."""
+        super().handle_ping()
+        self._unread_pongs = 0 if self.writable.is_set() else self._unread_pongs + 1
+        if self._unread_pongs > MAX_UNREAD_PONGS:
+            self.transport.abort()
+
+    def _fail(self, code: int, reason: str) -> None:
+        """Close the connection at once."""
+        if not self.handshake_complete or self.close_sent:
+            self.transport.abort()
+            return
+        self.queue.put_nowait({"type": "websocket.disconnect", "code": code, "reason": reason})
+        self.conn.fail(code, reason)
+        self.transport.write(b"".join(self.conn.data_to_send()))
+        self.close_sent = True
+        self.transport.close()
+
+    def _look(self) -> None:
+        now = self.loop.time()
+        if self.read_paused and self._arriving_since is not None:
+            self._arriving_since = now  # it is the app that does not read
+        untaken = self.transport.get_write_buffer_size()
+        if untaken < self._untaken or not untaken:
+            self._taken_at = now
+        self._untaken = untaken
+        late = self._arriving_since is not None and now > self._arriving_since + self._receive_s
         if late or now > self._taken_at + self._send_s:
             self.transport.abort()
         else:

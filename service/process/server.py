@@ -13,13 +13,15 @@ from fastapi import FastAPI
 
 from service.app import create_app
 from service.observability.log_config import configuration
-from service.process.connection_limits import Connection
+from service.process.connection_limits import Connection, WebSocketConnection
 from service.serving.loading import Loader
 from service.serving.model_changes import ModelChanges
 from service.settings import SHUTDOWN_MARGIN_S, Settings
 from service.state import State
 
 POLL_S = 0.02
+PING_S = 20.0
+"""Longest interval of a session's pings, and time for their answer."""
 
 
 class Server(uvicorn.Server):
@@ -38,6 +40,16 @@ class Server(uvicorn.Server):
                 http=partial(  # pyright: ignore[reportArgumentType]
                     Connection, settings=settings, stopping=lambda: self.should_exit
                 ),
+                ws=partial(  # pyright: ignore[reportArgumentType]
+                    WebSocketConnection,
+                    settings=settings,
+                    bodies=lambda: app.state.service.bodies,
+                ),
+                ws_max_size=settings.max_body_bytes,
+                # Images are compressed already, and compressing answers would delay them.
+                ws_per_message_deflate=False,
+                ws_ping_interval=min(PING_S, settings.write_timeout_s),
+                ws_ping_timeout=min(PING_S, settings.write_timeout_s),
                 log_config=configuration(settings.log_format, settings.log_requests),
                 access_log=False,  # service.observability.log_config has its own
                 server_header=False,
@@ -76,7 +88,7 @@ class Server(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Drain, then close."""
         state: State = self._app.state.service
-        state.phase = "draining"
+        state.drain()
         begun = time.monotonic()
         ends = (self._told_at or begun) + self._settings.graceful_shutdown_timeout_s
         while not self.force_exit and time.monotonic() < ends:
