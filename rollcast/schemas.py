@@ -613,9 +613,9 @@ TickStatus = Literal["open", "collecting", "forecast", "superseded", "refused"]
 """Outcome of one message of a session.
 
 ``open``: the first message, the session's options, is accepted. ``collecting``: there are fewer
-than four frames. ``forecast``: the forecast from this frame and the three before it. ``superseded``:
-a newer frame arrived before the forecast from this one was begun; the frame belongs to later
-forecasts. ``refused``: ``problem`` says why."""
+than four frames. ``forecast``: the forecast from this frame and the three before it.
+``superseded``: a newer frame arrived before the forecast from this one was begun; the frame belongs
+to later forecasts. ``refused``: ``problem`` gives the reason."""
 
 
 class TickResponse(ResponseBody):

@@ -5,8 +5,8 @@
 
 import asyncio
 from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
-from contextlib import asynccontextmanager
-from typing import ParamSpec, TypeVar
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar
 
 import httpx2
 from tenacity import AsyncRetrying, retry_if_exception
@@ -14,6 +14,9 @@ from tenacity import AsyncRetrying, retry_if_exception
 from rollcast.client.connection import Target
 from rollcast.client.deadline import Deadline
 from rollcast.client.retries import is_retryable, stop, wait_s
+
+if TYPE_CHECKING:
+    from websockets.asyncio.client import ClientConnection
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -114,3 +117,49 @@ async def gather_limited(calls: Sequence[Callable[[], Awaitable[T]]], concurrenc
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+
+
+class Socket:
+    """A WebSocket connection; exceptions are those of ``websockets``.
+
+    Parameters
+    ----------
+    connection
+        The open connection.
+    opened
+        Closes it.
+    """
+
+    def __init__(self, connection: "ClientConnection", opened: AsyncExitStack) -> None:
+        self._connection, self._opened = connection, opened
+
+    @classmethod
+    async def open(cls, address: str, options: dict[str, Any], deadline: Deadline) -> Self:
+        """Connect within a deadline, which runs."""
+        # Imported here because most programs open no session.
+        from websockets.asyncio.client import connect
+
+        opened = AsyncExitStack()
+        open_timeout = max(deadline.left_s(), 1e-3)
+        connecting = connect(address, open_timeout=open_timeout, **options)
+        return cls(await opened.enter_async_context(connecting), opened)
+
+    async def send(self, message: str | bytes) -> None:
+        """Send a message."""
+        await self._connection.send(message)
+
+    async def receive(self, deadline: Deadline) -> str | bytes:  # noqa: ARG002 - as in _sync
+        """Return the next message; the deadline interrupts the wait."""
+        return await self._connection.recv()
+
+    async def received(self) -> str | bytes | None:
+        """Return the next message if it has arrived."""
+        try:
+            async with asyncio.timeout(0):
+                return await self._connection.recv()
+        except TimeoutError:
+            return None
+
+    async def close(self) -> None:
+        """Close the connection."""
+        await self._opened.aclose()

@@ -3,12 +3,14 @@
 ``rollcast.client._async`` has the same names for ``AsyncClient``.
 """
 
+import socket
+import struct
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from ssl import SSLContext
 from threading import Lock
-from typing import Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar
 
 import httpx2
 from tenacity import Retrying, retry_if_exception
@@ -16,6 +18,9 @@ from tenacity import Retrying, retry_if_exception
 from rollcast.client.connection import Target
 from rollcast.client.deadline import Deadline
 from rollcast.client.retries import is_retryable, stop, wait_s
+
+if TYPE_CHECKING:
+    from websockets.sync.client import ClientConnection
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -178,3 +183,52 @@ def gather_limited(calls: Sequence[Callable[[], T]], concurrency: int) -> list[T
             for future in futures:
                 future.cancel()
         return [future.result() for future in futures]
+
+
+class Socket:
+    """A WebSocket connection; exceptions are those of ``websockets``.
+
+    Parameters
+    ----------
+    connection
+        The open connection.
+    opened
+        Closes it.
+    """
+
+    def __init__(self, connection: "ClientConnection", opened: ExitStack) -> None:
+        self._connection, self._opened = connection, opened
+
+    @classmethod
+    def open(cls, address: str, options: dict[str, Any], deadline: Deadline) -> Self:
+        """Connect within a deadline, which runs."""
+        # Imported here because most programs open no session.
+        from websockets.sync.client import connect
+
+        opened = ExitStack()
+        open_timeout = max(deadline.left_s(), SHORTEST_TIMEOUT_S)
+        connecting = connect(address, open_timeout=open_timeout, **options)
+        connection = opened.enter_context(connecting)
+        # Sending has no timeout there; a service that reads nothing would block it for minutes.
+        limit = struct.pack("ll", int(deadline), int(deadline % 1 * 1e6) or 1)
+        connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
+        return cls(connection, opened)
+
+    def send(self, message: str | bytes) -> None:
+        """Send a message."""
+        self._connection.send(message)
+
+    def receive(self, deadline: Deadline) -> str | bytes:
+        """Return the next message; TimeoutError after the deadline."""
+        return self._connection.recv(deadline.left_s())
+
+    def received(self) -> str | bytes | None:
+        """Return the next message if it has arrived."""
+        try:
+            return self._connection.recv(0)
+        except TimeoutError:
+            return None
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._opened.close()

@@ -10,6 +10,7 @@ import numpy as np
 
 from rollcast.client import calls
 from rollcast.client._async import Connections, gather_limited, to_thread, with_retries, within
+from rollcast.client.aio_session import AsyncSession
 from rollcast.client.answers import MAX_ANSWER_BYTES, check_size, translated
 from rollcast.client.calls import Call, ForecastOptions, Integer, SimulationOptions
 from rollcast.client.clips import Clip, is_clip, named_model, read_clip
@@ -19,6 +20,7 @@ from rollcast.client.images import Crop, Frame, Frames
 from rollcast.client.prompts import BallPoints
 from rollcast.client.results import Detections, Forecast, ForecastStep, Simulation, Surface
 from rollcast.client.stream import StreamAssembler
+from rollcast.errors import InvalidArgumentError
 from rollcast.scene import Domain, Scenario, Scene
 from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, Health, ModelDetail, ModelEntry
 from rollcast.trajectory import OBSERVED_FRAMES
@@ -71,6 +73,7 @@ class AsyncClient:
         transport: httpx2.AsyncBaseTransport | None = None,
     ) -> None:
         self._target = Target.resolve(base_url, api_key, over_network=transport is None)
+        self._over_network = transport is None
         self._timeout_s = checked_timeout(timeout_s)
         self._connections = Connections(self._target, transport)
         self._retries = retries
@@ -169,6 +172,52 @@ class AsyncClient:
             As for ``predict``.
         """
         return AsyncForecastStream(self, frames, final_frame, options)
+
+    def session(
+        self,
+        *,
+        horizon: Integer | None = None,
+        model: str = AUTO_MODEL,
+        num_objects: Integer | None = None,
+        scenario: Domain | None = None,
+        frame_rate: float | None = None,
+        crop: Crop | None = None,
+    ) -> AsyncSession:
+        """Open a session for a loop: one frame a tick is sent, the service keeps the last four.
+
+        The connection is opened when the context is entered, and retried (``retries``) until the
+        service has accepted the options.
+
+        Parameters
+        ----------
+        horizon, model, num_objects, scenario, frame_rate, crop
+            As for ``predict``, for all forecasts of the session.
+
+        Raises
+        ------
+        rollcast.errors.InvalidArgumentError
+            When an argument cannot be used, or the client has a transport of its own: sessions are
+            WebSockets over the network.
+        """
+        if not self._over_network:
+            raise InvalidArgumentError(
+                "a client with a transport of its own opens no sessions: they are WebSockets over "
+                "the network, which FakeService and other transports of httpx2 do not have"
+            )
+        options = ForecastOptions(
+            horizon=horizon,
+            model=model,
+            num_objects=num_objects,
+            scenario=scenario,
+            frame_rate=frame_rate,
+        )
+        return AsyncSession(
+            self._target,
+            calls.session(options),
+            crop,
+            timeout_s=self._timeout_s,
+            retries=self._retries,
+        )
 
     async def predict_many(
         self,

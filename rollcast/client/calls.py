@@ -247,6 +247,28 @@ def _forecast_call(
     return call
 
 
+def session(options: ForecastOptions) -> Call[Forecast]:
+    """Describe the options of a session, and read its forecasts (``rollcast.client.sessions``)."""
+    horizon, number = _whole("horizon", options), _whole("num_objects", options)
+    rate = options.get("frame_rate")
+    fields = {
+        "model": options.get("model"),
+        "horizon": horizon,
+        "num_objects": number,
+        "scenario": options.get("scenario"),
+        "frame_rate": None if rate is None else _number("frame_rate", rate),
+    }
+    return Call(
+        "GET",
+        "/stream",
+        lambda body: Forecast.from_response(PredictResponse.model_validate_json(body)),
+        json={name: value for name, value in fields.items() if value is not None},
+        horizon=horizon,
+        num_objects=number,
+        advise=_advice,
+    )
+
+
 def detect(
     frames: Frames, model: str, min_score: float, refine_still: bool, crop: Crop | None
 ) -> Call[Detections]:

@@ -1,4 +1,5 @@
-# Written by `python -m tests.rollcast.write_sync_client` (`make format`) from aio.py: change that.
+# Written by `python -m tests.rollcast.write_sync_client` (`make format`).
+# The source is aio.py: change that.
 """The client: its methods, the transport, and the forecast that arrives step by step."""
 
 from collections.abc import Callable, Generator, Iterable, Mapping
@@ -20,6 +21,8 @@ from rollcast.client.images import Crop, Frame, Frames
 from rollcast.client.prompts import BallPoints
 from rollcast.client.results import Detections, Forecast, ForecastStep, Simulation, Surface
 from rollcast.client.stream import StreamAssembler
+from rollcast.client.sync_session import Session
+from rollcast.errors import InvalidArgumentError
 from rollcast.scene import Domain, Scenario, Scene
 from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, Health, ModelDetail, ModelEntry
 from rollcast.trajectory import OBSERVED_FRAMES
@@ -72,6 +75,7 @@ class Client:
         transport: httpx2.BaseTransport | None = None,
     ) -> None:
         self._target = Target.resolve(base_url, api_key, over_network=transport is None)
+        self._over_network = transport is None
         self._timeout_s = checked_timeout(timeout_s)
         self._connections = Connections(self._target, transport)
         self._retries = retries
@@ -170,6 +174,52 @@ class Client:
             As for ``predict``.
         """
         return ForecastStream(self, frames, final_frame, options)
+
+    def session(
+        self,
+        *,
+        horizon: Integer | None = None,
+        model: str = AUTO_MODEL,
+        num_objects: Integer | None = None,
+        scenario: Domain | None = None,
+        frame_rate: float | None = None,
+        crop: Crop | None = None,
+    ) -> Session:
+        """Open a session for a loop: one frame a tick is sent, the service keeps the last four.
+
+        The connection is opened when the context is entered, and retried (``retries``) until the
+        service has accepted the options.
+
+        Parameters
+        ----------
+        horizon, model, num_objects, scenario, frame_rate, crop
+            As for ``predict``, for all forecasts of the session.
+
+        Raises
+        ------
+        rollcast.errors.InvalidArgumentError
+            When an argument cannot be used, or the client has a transport of its own: sessions are
+            WebSockets over the network.
+        """
+        if not self._over_network:
+            raise InvalidArgumentError(
+                "a client with a transport of its own opens no sessions: they are WebSockets over "
+                "the network, which FakeService and other transports of httpx2 do not have"
+            )
+        options = ForecastOptions(
+            horizon=horizon,
+            model=model,
+            num_objects=num_objects,
+            scenario=scenario,
+            frame_rate=frame_rate,
+        )
+        return Session(
+            self._target,
+            calls.session(options),
+            crop,
+            timeout_s=self._timeout_s,
+            retries=self._retries,
+        )
 
     def predict_many(
         self,

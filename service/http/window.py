@@ -1,6 +1,7 @@
 """The last frames of a session, and the jobs of the scheduler that read them."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 from rollcast.rollout import Outputs
@@ -110,7 +111,7 @@ def opened_window(window: Window, token: CancellationToken) -> OpenedFrames:
         [frame.field for frame in window],
         token.raise_if_cancelled,
     )
-    for before, frame in zip(window, window[1:], strict=False):
+    for before, frame in pairwise(window):
         if frame.image.size != before.image.size:
             (width, height), (old_width, old_height) = _size(frame), _size(before)
             expected = f"{old_width} x {old_height}, the size of the frame before"

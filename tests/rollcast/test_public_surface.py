@@ -3,6 +3,7 @@
 import inspect
 import re
 
+import pytest
 from inline_snapshot import snapshot
 from numpy.typing import ArrayLike
 
@@ -11,7 +12,7 @@ import rollcast.client.testing
 import rollcast.errors
 from rollcast.client import Frame, Frames
 from rollcast.client.calls import ForecastOptions
-from tests.rollcast.write_sync_client import TARGET, sync_client
+from tests.rollcast.write_sync_client import TARGETS, sync_client
 
 
 def surface(module, names):
@@ -452,5 +453,7 @@ def test_the_options_of_a_stream_are_those_of_predict():
     assert {*ForecastOptions.__annotations__} == {*taken} - {"self", "frames", "final_frame"}
 
 
-def test_the_client_that_blocks_is_written_from_the_one_that_is_awaited():
-    assert TARGET.read_text() == sync_client(), "run python -m tests.rollcast.write_sync_client"
+@pytest.mark.parametrize("target", TARGETS, ids=lambda path: path.name)
+def test_the_client_that_blocks_is_written_from_the_one_that_is_awaited(target):
+    expected = sync_client(target)
+    assert target.read_text() == expected, "run python -m tests.rollcast.write_sync_client"

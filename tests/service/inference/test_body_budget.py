@@ -48,9 +48,10 @@ def test_what_has_been_read_is_not_given_up_and_leaves_no_room():
             waiting.give_up = lambda: None
             budget.grow(waiting, 90)
             waiting.give_up = None
-            with budget.body() as late, pytest.raises(TooManyBodiesError):
+            with budget.body() as late:
                 late.give_up = lambda: None
-                budget.grow(late, 20)
+                with pytest.raises(TooManyBodiesError):
+                    budget.grow(late, 20)
             assert not waiting.evicted
         assert budget.size == 0
 
