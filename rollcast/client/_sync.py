@@ -207,8 +207,8 @@ class Socket:
 
         opened = ExitStack()
         open_timeout = max(deadline.left_s(), SHORTEST_TIMEOUT_S)
-        connecting = connect(address, open_timeout=open_timeout, **options)
-        connection = opened.enter_context(connecting)
+        connecting: Any = connect(address, open_timeout=open_timeout, **options)
+        connection: ClientConnection = opened.enter_context(connecting)
         # Sending has no timeout there; a service that reads nothing would block it for minutes.
         limit = struct.pack("ll", int(deadline), int(deadline % 1 * 1e6) or 1)
         connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)

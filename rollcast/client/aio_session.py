@@ -10,7 +10,13 @@ from rollcast.client.connection import Target, checked_timeout
 from rollcast.client.deadline import Deadline
 from rollcast.client.images import Crop, Frame, encoded
 from rollcast.client.results import Forecast
-from rollcast.client.sessions import SessionCall, TickAnswer, newest_of
+from rollcast.client.sessions import (
+    LocalSession,
+    SessionCall,
+    SessionTransport,
+    TickAnswer,
+    newest_of,
+)
 
 
 class AsyncSession:
@@ -32,12 +38,14 @@ class AsyncSession:
         *,
         timeout_s: float,
         retries: int,
+        transport: SessionTransport | None,
     ) -> None:
         self._call = SessionCall(target, call)
+        self._transport = transport
         self._crop: Crop | None = crop
         self._timeout_s = timeout_s
         self._retries = retries
-        self._socket: Socket | None = None
+        self._socket: Socket | _LocalSocket | None = None
         self._sent = 0
 
     async def send(self, frame: Frame) -> int:
@@ -126,12 +134,15 @@ class AsyncSession:
     ) -> None:
         await self.close()
 
-    async def _open(self, deadline: Deadline) -> Socket:
+    async def _open(self, deadline: Deadline) -> "Socket | _LocalSocket":
         """Connect, and have the options accepted."""
         self._call.begin()
         with self._call.translated(self._timeout_s):
-            url, options = str(self._call.url), self._call.options()
-            socket = await Socket.open(url, options, deadline)
+            if self._transport is None:
+                url, options = str(self._call.url), self._call.options()
+                socket = await Socket.open(url, options, deadline)
+            else:
+                socket = _LocalSocket(self._transport.open_session(self._call.first_message))
             try:
                 await socket.send(self._call.first_message)
                 self._call.take(await socket.receive(deadline))
@@ -140,7 +151,29 @@ class AsyncSession:
                 raise
         return socket
 
-    def _opened(self) -> Socket:
+    def _opened(self) -> "Socket | _LocalSocket":
         if self._socket is None:
             raise RuntimeError("the session is not open: use it as a context manager")
         return self._socket
+
+
+class _LocalSocket:
+    """The connection to a session without a network."""
+
+    def __init__(self, session: LocalSession) -> None:
+        self._session = session
+
+    async def send(self, message: str | bytes) -> None:
+        self._session.send(message)
+
+    async def receive(self, deadline: Deadline) -> str | bytes:
+        """Return the next answer; without one, none will come."""
+        if (answer := self._session.receive()) is None:
+            raise TimeoutError(f"{float(deadline):g} s")
+        return answer
+
+    async def received(self) -> str | bytes | None:
+        return self._session.receive()
+
+    async def close(self) -> None:
+        pass

@@ -5,7 +5,7 @@ import uuid
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import httpx2
 
@@ -25,6 +25,27 @@ from rollcast.schemas import REQUEST_ID_HEADER, TickResponse, TickStatus
 CLOSE_TIMEOUT_S = 2.0
 """Longest wait for the other side to close a connection."""
 NOT_FOUND = 404
+
+
+class LocalSession(Protocol):
+    """A session without a network: its answers are there when ``send`` returns."""
+
+    def send(self, message: str | bytes) -> None:
+        """Take a message."""
+        ...
+
+    def receive(self) -> str | bytes | None:
+        """Return the next answer; None when there is none."""
+        ...
+
+
+@runtime_checkable
+class SessionTransport(Protocol):
+    """A transport that opens sessions of its own."""
+
+    def open_session(self, message: str) -> LocalSession:
+        """Open a session, whose first message is given and sent again."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -106,8 +127,9 @@ class SessionCall:
                 forecast=None if forecast is None else self._finished(forecast),
                 error=None if response.problem is None else self._error(response),
             )
-            if (answer.status == "forecast") != (answer.forecast is not None):
-                raise ValueError(f"tick {answer.tick} has the status {answer.status!r}")
+            for status, part in (("forecast", answer.forecast), ("refused", answer.error)):
+                if (answer.status == status) != (part is not None):
+                    raise ValueError(f"tick {answer.tick} has the status {answer.status!r}")
         except ValueError as error:
             raise UnexpectedAnswerError(
                 f"{shown(self.url)} sent an answer that cannot be read: {error}"

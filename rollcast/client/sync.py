@@ -20,6 +20,7 @@ from rollcast.client.deadline import Deadline
 from rollcast.client.images import Crop, Frame, Frames
 from rollcast.client.prompts import BallPoints
 from rollcast.client.results import Detections, Forecast, ForecastStep, Simulation, Surface
+from rollcast.client.sessions import SessionTransport
 from rollcast.client.stream import StreamAssembler
 from rollcast.client.sync_session import Session
 from rollcast.errors import InvalidArgumentError
@@ -75,7 +76,7 @@ class Client:
         transport: httpx2.BaseTransport | None = None,
     ) -> None:
         self._target = Target.resolve(base_url, api_key, over_network=transport is None)
-        self._over_network = transport is None
+        self._transport = transport
         self._timeout_s = checked_timeout(timeout_s)
         self._connections = Connections(self._target, transport)
         self._retries = retries
@@ -198,13 +199,14 @@ class Client:
         Raises
         ------
         rollcast.errors.InvalidArgumentError
-            When an argument cannot be used, or the client has a transport of its own: sessions are
-            WebSockets over the network.
+            When an argument cannot be used, or the client has a transport that opens no sessions:
+            they are WebSockets, and of the transports of httpx2 only ``FakeService`` has them.
         """
-        if not self._over_network:
+        transport = self._transport
+        if not (transport is None or isinstance(transport, SessionTransport)):
             raise InvalidArgumentError(
-                "a client with a transport of its own opens no sessions: they are WebSockets over "
-                "the network, which FakeService and other transports of httpx2 do not have"
+                f"the transport {type(transport).__name__} opens no sessions, which are "
+                "WebSockets: use a client without a transport of its own, or FakeService"
             )
         options = ForecastOptions(
             horizon=horizon,
@@ -219,6 +221,7 @@ class Client:
             crop,
             timeout_s=self._timeout_s,
             retries=self._retries,
+            transport=transport,
         )
 
     def predict_many(

@@ -27,6 +27,8 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ValidationError
 
 from rollcast.client import fakes
+from rollcast.client.answers import problem_error
+from rollcast.client.fake_session import FakeSession
 from rollcast.client.fakes import RefusalError
 from rollcast.schemas import (
     DetectRequest,
@@ -49,7 +51,7 @@ class RecordedRequest:
     fields: Mapping[str, Any]
     """Content of the JSON body, or the form's fields as text."""
     frames: Sequence[bytes] = ()
-    """The image files of the observed frames."""
+    """The image files of the observed frames; of a session, all frames that have been sent."""
     final_frame: bytes | None = None
     """The image file of a later one."""
 
@@ -59,7 +61,8 @@ class FakeService(httpx2.MockTransport):
 
     By default, balls move along lines, and forecasts continue the lines of the simulations or
     start at the point prompts (``balls``). Requests with an invalid shape (a horizon of 0, three
-    frames) are rejected as by the real service.
+    frames) are rejected as by the real service. Frames of a session are answered at once, so that
+    none is superseded.
 
     Parameters
     ----------
@@ -94,6 +97,20 @@ class FakeService(httpx2.MockTransport):
         if positions is not None:
             given = np.asarray(positions, float)
             self._positions = given[None] if given.ndim == 2 else given
+
+    def open_session(self, message: str) -> FakeSession:
+        """Open the session of a client, whose first message it gets.
+
+        Raises
+        ------
+        rollcast.errors.ProblemError
+            With ``problem``.
+        """
+        frames: list[bytes] = []
+        self.asked.append(RecordedRequest("GET", "/stream", json.loads(message), frames))
+        if self.problem is not None:
+            raise problem_error(self.problem)
+        return FakeSession(self._positions, self._variance_px2, lambda: self.problem, frames)
 
     def _answer(self, request: httpx2.Request) -> httpx2.Response:
         try:

@@ -5,7 +5,7 @@ import inspect
 
 import httpx2
 
-from rollcast.client import AsyncClient, AsyncForecastStream
+from rollcast.client import AsyncClient, AsyncForecastStream, AsyncSession
 
 PROBLEM = {
     "type": "/problems/invalid-value",
@@ -36,6 +36,8 @@ class Awaiting:
             returned = method(*arguments, **named)
             if isinstance(returned, AsyncForecastStream):
                 return AwaitingStream(self._runner, returned)
+            if isinstance(returned, AsyncSession):
+                return AwaitingSession(self._runner, returned)
             assert inspect.iscoroutine(returned)
             return self._runner.run(returned)
 
@@ -78,6 +80,24 @@ class AwaitingStream:
 
     def __exit__(self, *raised):
         self._runner.run(self._stream.__aexit__(*raised))
+
+
+class AwaitingSession:
+    """The same of an ``AsyncSession``."""
+
+    def __init__(self, runner, session):
+        self._runner, self._session = runner, session
+
+    def __getattr__(self, name):
+        method = getattr(self._session, name)
+        return lambda *arguments, **named: self._runner.run(method(*arguments, **named))
+
+    def __enter__(self):
+        self._runner.run(self._session.__aenter__())
+        return self
+
+    def __exit__(self, *raised):
+        self._runner.run(self._session.__aexit__(*raised))
 
 
 async def _next(stream):

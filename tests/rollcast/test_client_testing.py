@@ -1,14 +1,21 @@
 """The fake service that users' own tests have."""
 
+import asyncio
 import doctest
 
+import httpx2
 import numpy as np
 import pytest
 
 import rollcast.client.testing
-from rollcast.client import Client
+from rollcast.client import AsyncClient, Client
 from rollcast.client.testing import FakeService
-from rollcast.errors import BadRequestError, OverloadedError
+from rollcast.errors import (
+    BadRequestError,
+    InvalidArgumentError,
+    OverloadedError,
+    RequestTimeoutError,
+)
 from rollcast.scene import SCENARIOS
 from rollcast.schemas import Problem
 from tests.rollcast.clients import PROBLEM
@@ -121,3 +128,68 @@ def test_one_service_serves_several_clients():
     for _ in range(2):
         with Client(transport=service) as connected:
             assert connected.models()
+
+
+@pytest.mark.parametrize("path", [None, [[1, 2], [3, 4], [5, 6]]], ids=["lines", "chosen"])
+def test_a_session_is_answered_at_once(path):
+    service = FakeService(path)
+    with Client(transport=service) as client:
+        with client.session(horizon=3, frame_rate=30) as session:
+            for tick in range(1, 7):
+                assert session.send(FRAMES[0]) == tick
+                answer = session.receive()
+                assert (answer.tick, answer.status) == (tick, EXPECTED[tick - 1])
+            expected = client.predict(FRAMES, horizon=3, frame_rate=30)
+            np.testing.assert_array_equal(answer.forecast.positions, expected.positions)
+            np.testing.assert_array_equal(answer.forecast.times_s, expected.times_s)
+            assert session.newest() is None
+            with pytest.raises(RequestTimeoutError):
+                session.receive(timeout_s=60)
+            service.problem = Problem.model_validate(PROBLEM)
+            session.send(FRAMES[0])
+            refused = session.receive()
+            assert isinstance(refused.error, BadRequestError)
+        with pytest.raises(BadRequestError), client.session():
+            pass
+    asked = service.asked[0]
+    assert (asked.method, asked.path, len(asked.frames)) == ("GET", "/stream", 7)
+    assert asked.fields == {"model": "auto", "horizon": 3, "frame_rate": 30.0}
+
+
+EXPECTED = ["collecting"] * 3 + ["forecast"] * 3
+
+
+def test_the_newest_answer_of_a_session_goes_before_older_ones():
+    with Client(transport=FakeService()) as client, client.session() as session:
+        for _ in range(2):
+            session.send(FRAMES[0])
+        assert session.newest().tick == 2
+        for _ in range(4):
+            session.send(FRAMES[0])
+        assert (session.newest().tick, session.newest()) == (6, None)
+
+
+def test_options_of_a_session_are_checked():
+    client = Client(transport=FakeService())
+    with client, pytest.raises(BadRequestError, match="horizon"), client.session(horizon=0):
+        pass
+
+
+def test_a_session_awaited():
+    async def loop():
+        client = AsyncClient(transport=FakeService())
+        async with client, client.session(horizon=3) as session:
+            for _ in range(4):
+                await session.send(FRAMES[0])
+            return await session.newest()
+
+    assert asyncio.run(loop()).forecast.positions.shape == (1, 3, 2)
+
+
+def test_other_transports_have_no_sessions():
+    transport = httpx2.MockTransport(lambda _: httpx2.Response(200))
+    with (
+        Client(transport=transport) as client,
+        pytest.raises(InvalidArgumentError, match="MockTransport opens no sessions"),
+    ):
+        client.session()
