@@ -179,30 +179,19 @@ class BallPrompt(RequestBody):
     """Pixels; by default estimated."""
 
 
-class SessionRequest(RequestBody):
-    """First message of a session, ``WebSocket /stream``: JSON text."""
+Horizon = Annotated[Integer, Field(ge=1, le=MAX_HORIZON)]
+BallCount = Annotated[
+    Annotated[Integer, Field(ge=1, le=MAX_BALLS)] | None,
+    Field(validation_alias=AliasChoices("num_objects", "objects")),  # decision 0147
+]
+FrameRate = Annotated[Number, Field(gt=0, le=100_000)]
+
+
+class PredictRequest(RequestBody):
+    """Body of ``POST /predict``, as JSON or, with the images as file parts, as multipart."""
 
     model: str = AUTO_MODEL
     """"auto", NAME (its default version) or NAME@VERSION."""
-    horizon: Annotated[Integer, Field(ge=1, le=MAX_HORIZON)] | None = None
-    """Number of steps, t = 0..horizon-1: 40 by default, with a final frame ``final_step`` + 1."""
-    num_objects: Annotated[
-        Annotated[Integer, Field(ge=1, le=MAX_BALLS)] | None,
-        Field(validation_alias=AliasChoices("num_objects", "objects")),  # decision 0147
-    ] = None
-    """Number of balls: by default the named model's, with "auto" one. A model for any number of
-    balls follows, by default, those that move."""
-    scenario: Domain | None = None
-    """Narrows the choice to models made for this scenario, or for footage of a set-up of one's
-    own."""
-    frame_rate: Annotated[Number, Field(gt=0, le=100_000)] | None = None
-    """Frames a second of the observed frames, by default as many as the model was trained on; the
-    forecast's steps are as far apart."""
-
-
-class PredictRequest(SessionRequest):
-    """Body of ``POST /predict``, as JSON or, with the images as file parts, as multipart."""
-
     frames: Annotated[
         list[EncodedImage], Field(min_length=OBSERVED_FRAMES, max_length=OBSERVED_FRAMES)
     ]
@@ -211,12 +200,39 @@ class PredictRequest(SessionRequest):
     are composed on white."""
     final_frame: EncodedImage | None = None
     """A frame of the same size that shows step ``final_step`` of the model."""
+    horizon: Horizon | None = None
+    """Number of steps, t = 0..horizon-1: 40 by default, with a final frame ``final_step`` + 1."""
+    num_objects: BallCount = None
+    """Number of balls: by default the named model's, with "auto" one. A model for any number of
+    balls follows, by default, those that move."""
     balls: Annotated[
         Annotated[list[BallPrompt], Field(min_length=1, max_length=MAX_BALLS)] | None,
         BeforeValidator(_decode_json),
     ] = None
     """Which balls are meant, for a model for any number of balls: one prompt a ball, in the order
     of the answer's objects."""
+    scenario: Domain | None = None
+    """Narrows the choice to models made for this scenario, or for footage of a set-up of one's
+    own."""
+    frame_rate: FrameRate | None = None
+    """Frames a second of the observed frames, by default as many as the model was trained on; the
+    forecast's steps are as far apart."""
+
+
+class SessionRequest(RequestBody):
+    """First message of a session, ``WebSocket /stream``: text."""
+
+    model: str = AUTO_MODEL
+    """"auto", NAME (its default version) or NAME@VERSION; not a model with a final frame."""
+    horizon: Horizon | None = None
+    """Number of steps, t = 0..horizon-1: 40 by default."""
+    num_objects: BallCount = None
+    """Number of balls, as for ``POST /predict``."""
+    scenario: Domain | None = None
+    """Narrows the choice to models made for this scenario, or for footage of a set-up of one's
+    own."""
+    frame_rate: FrameRate | None = None
+    """Frames a second that are sent, by default as many as the model was trained on."""
 
 
 class ModelReference(ResponseBody):

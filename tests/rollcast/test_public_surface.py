@@ -135,6 +135,16 @@ class AsyncClient(
         final_frame: Frame | None = None,
         **options: Unpack[ForecastOptions],
     ) -> 'AsyncForecastStream'
+    def session(
+        self,
+        *,
+        horizon: int | numpy.integer[Any] | None = None,
+        model: str = 'auto',
+        num_objects: int | numpy.integer[Any] | None = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
+        frame_rate: float | None = None,
+        crop: Optional[Literal['square']] = None,
+    ) -> rollcast.client.aio_session.AsyncSession
     async def simulate(
         self,
         scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table']] = None,
@@ -159,6 +169,29 @@ class AsyncForecastStream(
         self,
     ) -> None
     forecast: rollcast.client.results.Forecast
+class AsyncSession(
+        target: rollcast.client.connection.Target,
+        call: rollcast.client.calls.Call[rollcast.client.results.Forecast],
+        crop: Optional[Literal['square']],
+        *,
+        timeout_s: float,
+        retries: int,
+        transport: rollcast.client.sessions.SessionTransport | None,
+    ) -> None
+    async def close(
+        self,
+    ) -> None
+    async def newest(
+        self,
+    ) -> rollcast.client.sessions.TickAnswer | None
+    async def receive(
+        self,
+        timeout_s: float | None = None,
+    ) -> rollcast.client.sessions.TickAnswer
+    async def send(
+        self,
+        frame: Frame,
+    ) -> int
 BallPoint = rollcast.schemas.BallPrompt
     | Sequence[float]
     | numpy.ndarray
@@ -235,6 +268,16 @@ class Client(
         final_frame: Frame | None = None,
         **options: Unpack[ForecastOptions],
     ) -> 'ForecastStream'
+    def session(
+        self,
+        *,
+        horizon: int | numpy.integer[Any] | None = None,
+        model: str = 'auto',
+        num_objects: int | numpy.integer[Any] | None = None,
+        scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
+        frame_rate: float | None = None,
+        crop: Optional[Literal['square']] = None,
+    ) -> rollcast.client.sync_session.Session
     def simulate(
         self,
         scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table']] = None,
@@ -345,6 +388,29 @@ Frame = numpy.ndarray
 Frames = Sequence[Frame]
     | numpy.ndarray
     | rollcast.client.images.FrameTensor
+class Session(
+        target: rollcast.client.connection.Target,
+        call: rollcast.client.calls.Call[rollcast.client.results.Forecast],
+        crop: Optional[Literal['square']],
+        *,
+        timeout_s: float,
+        retries: int,
+        transport: rollcast.client.sessions.SessionTransport | None,
+    ) -> None
+    def close(
+        self,
+    ) -> None
+    def newest(
+        self,
+    ) -> rollcast.client.sessions.TickAnswer | None
+    def receive(
+        self,
+        timeout_s: float | None = None,
+    ) -> rollcast.client.sessions.TickAnswer
+    def send(
+        self,
+        frame: Frame,
+    ) -> int
 class Simulation(
         frames: ~FramesT,
         positions: jaxtyping.Float64[ndarray, 'objects steps 2'],
@@ -372,6 +438,13 @@ class Simulation(
 class Surface(
         heights_m: jaxtyping.Float64[ndarray, 'n n'],
         half_width_m: float,
+    ) -> None
+class TickAnswer(
+        tick: int,
+        status: Literal['open', 'collecting', 'forecast', 'superseded', 'refused'],
+        latency_ms: float,
+        forecast: rollcast.client.results.Forecast | None,
+        error: rollcast.errors.ProblemError | None,
     ) -> None\
 """)
 
@@ -385,6 +458,10 @@ class FakeService(
         variance_px2: float = 1.0,
         problem: rollcast.schemas.Problem | None = None,
     ) -> None
+    def open_session(
+        self,
+        message: str,
+    ) -> rollcast.client.fake_session.FakeSession
 class RecordedRequest(
         method: str,
         path: str,
@@ -440,7 +517,9 @@ ValueError
 def test_both_clients_have_the_same_methods():
     def methods(kind):
         return {
-            name: str(inspect.signature(value)).replace("Async", "")
+            name: str(inspect.signature(value))
+            .replace("Async", "")
+            .replace("aio_session", "sync_session")
             for name, value in inspect.getmembers(kind, inspect.isfunction)
             if not name.startswith("_")
         }
