@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
 from sphinx.pycode import ModuleAnalyzer
 from typer.testing import CliRunner
 
@@ -18,7 +19,7 @@ import rollcast.schemas
 import service.http.oip.schemas
 from rollcast.__main__ import app as commands_app
 from rollcast.markdown import table
-from rollcast.schemas import StreamDone, StreamStep
+from rollcast.schemas import SessionRequest, StreamDone, StreamStep, TickResponse
 from service.errors import ServiceError
 from service.settings import PREFIX, Settings
 
@@ -54,7 +55,7 @@ def write(root: Path, source: Path) -> None:
     """
     contract = json.loads((root / CONTRACT).read_text(encoding="utf-8"))
     docs = field_docs()
-    streamed = events()
+    streamed = described(StreamStep, StreamDone)
     pages = {
         f"{PARTS}/settings.md": settings(),
         f"{PARTS}/problems.md": problems(),
@@ -66,6 +67,11 @@ def write(root: Path, source: Path) -> None:
         f"{PARTS}/events.md": "\n".join(
             _schema(name, schema, docs)
             for name, schema in streamed.items()
+            if name not in contract["components"]["schemas"]
+        ),
+        f"{PARTS}/session.md": "\n".join(
+            _schema(name, schema, docs)
+            for name, schema in described(SessionRequest, TickResponse).items()
             if name not in contract["components"]["schemas"]
         ),
         **cards(root / "models"),
@@ -195,12 +201,13 @@ def schemas(contract: Json, docs: Docs, *, protocol: bool) -> str:
     return "\n".join(_schema(name, found[name], docs) for name in found if name in wanted)
 
 
-def events() -> dict[str, Json]:
-    """Return the schemas of the events of a stream, which the contract leaves out."""
+def described(*bodies: type[BaseModel]) -> dict[str, Json]:
+    """Return the schemas of events and messages, which the contract leaves out."""
     found: dict[str, Json] = {}
-    for event in (StreamStep, StreamDone):
-        schema = event.model_json_schema(mode="serialization")
-        found |= {event.__name__: schema} | schema.pop("$defs")
+    for body in bodies:
+        is_request = issubclass(body, rollcast.schemas.RequestBody)
+        schema = body.model_json_schema(mode="validation" if is_request else "serialization")
+        found |= {body.__name__: schema} | schema.pop("$defs", {})
     return found
 
 
