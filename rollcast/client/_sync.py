@@ -10,7 +10,7 @@ from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from ssl import SSLContext
 from threading import Lock
-from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar, cast
 
 import httpx2
 from tenacity import Retrying, retry_if_exception
@@ -207,8 +207,10 @@ class Socket:
 
         opened = ExitStack()
         open_timeout = max(deadline.left_s(), SHORTEST_TIMEOUT_S)
-        connecting: Any = connect(address, open_timeout=open_timeout, **options)
-        connection: ClientConnection = opened.enter_context(connecting)
+        connecting = cast(
+            "ClientConnection", connect(address, open_timeout=open_timeout, **options)
+        )
+        connection = opened.enter_context(connecting)
         # Sending has no timeout there; a service that reads nothing would block it for minutes.
         limit = struct.pack("ll", int(deadline), int(deadline % 1 * 1e6) or 1)
         connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
