@@ -41,7 +41,7 @@ def test_a_key_is_asked_for_once_and_kept_for_the_tab(open_page: OpenPage, guard
     assert found.response["violations"] == [], found.generate_report()
     page.fill("#key", token[:-1])
     page.press("#key", "Enter")
-    expect(page.locator("#key-reason")).to_contain_text("not known")
+    expect(page.locator("#key-reason")).to_contain_text("unknown")
     expect(dialog).to_be_visible()
     page.fill("#key", token)
     page.get_by_role("button", name="Use it").click()

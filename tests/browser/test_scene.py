@@ -59,9 +59,14 @@ def test_several_balls(page: Page):
     until_forecast(page)
     expect(page.locator("#models")).to_contain_text("fieldnet-3")
     page.check("#scenario-hemisphere")
-    expect(page.locator("#balls-3")).to_be_disabled()
-    expect(page.locator("#balls-1")).to_be_checked()
-    expect(page.locator("#balls-hint")).to_contain_text("models of the ellipsoid alone")
+    # Models for a fixed number of balls know several in ellipsoids only.
+    expect(page.locator("#balls-3")).to_be_checked()
+    expect(page.locator("#stage-title")).to_have_text(
+        re.compile("hemisphere, 3 balls", re.IGNORECASE)
+    )
+    until_forecast(page)
+    expect(page.locator("#models")).to_contain_text("any-ball")
+    expect(page.locator("#models")).not_to_contain_text("fieldnet-3")
 
 
 def test_models_side_by_side(page: Page):
