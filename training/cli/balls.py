@@ -64,6 +64,7 @@ PARTS: dict[Part, BallTraining] = {
         0,
         learning_rate=6e-4,
         looked_at=3.0,
+        trajectory=0.5,
         frozen=(*BallTraining.frozen, "eye.detector."),
         fresh=("eye.refiner.outline.", "eye.refiner.outline_weighing."),
         fresh_rate=2.0,

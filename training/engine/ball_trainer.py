@@ -9,16 +9,21 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, IterableDataset
 
-from rollcast.trajectory import OBSERVED_FRAMES
-from training.common.precision import mixed_precision
+from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+from training.common.precision import full_precision, mixed_precision
 from training.data.ball_batch import BallBatch
 from training.engine.loop import Optimisation, TrainerConfig, TrainingLoop
-from training.networks.any_ball import AnyBallNet
+from training.networks.any_ball import AnyBallNet, Beginning, Seen
 from training.networks.ball_detector import PIXEL, BallMaps, peaks, voted
+from training.networks.blocks import PIXEL_UNIT
+from training.networks.fieldnet import Ball
 from training.networks.patches import half_widths
 from training.objectives.detection import DetectionLoss, RefinementLoss, chosen
+from training.objectives.losses import smooth_distance, step_weights
 from training.objectives.schedules import Cosine
 
+ROUNDING = 0.5
+"""Distance in pixels below which errors of trajectories are rounded off."""
 VISIBLE = 0.3
 """Smallest visible share in the last frame of balls whose patches are trained on."""
 
@@ -33,6 +38,10 @@ class BallTraining:
         Budget.
     looked_at
         Balls per window, in the mean, whose patches are cut. With 0, the detector trains alone.
+    trajectory
+        Weight of the error of trajectories that begin with the states at t = 0, over ``horizon``
+        steps; step ``halving`` has half the weight of the first. Only balls that meet no other one
+        are rolled out.
     frozen
         Prefixes of the parameters that do not train. With ``eye.detector.`` among them, the patch
         refiner and the states at t = 0 train alone, on several times as many balls in the time.
@@ -41,6 +50,9 @@ class BallTraining:
     batches: int
     batch_size: int = 24
     looked_at: float = 1.3
+    trajectory: float = 0.0
+    horizon: int = 20
+    halving: float = 10.0
     learning_rate: float = 8e-4
     gradient_clip: float = 4.0
     average_decay: float = 0.998
@@ -149,7 +161,37 @@ class BallTrainer(TrainingLoop[BallBatch]):
             # A pass learns the first look of a half, the second one of the others.
             seen = eye.refine(balls.frames, places, radii, passes=1)
         beginning = eye.begin(seen, maps.ground[rows.window], maps.scene[rows.window])
-        return parts | self._refinement(seen, beginning, balls)
+        parts |= self._refinement(seen, beginning, balls)
+        if self.training.trajectory:
+            missed = self._trajectories(seen, beginning, maps.ground[rows.window], balls)
+            alone = _alone(batch, rows)
+            mean = (alone * missed).sum() / (alone.sum() + 1)
+            parts["trajectories"] = self.training.trajectory * mean
+        return parts
+
+    def _trajectories(
+        self, seen: Seen, beginning: Beginning, ground: Tensor, balls: BallBatch
+    ) -> Tensor:
+        """Mean error [M] of trajectories of single balls, in pixels; unknown places are free."""
+        horizon = self.training.horizon
+        ball = Ball.unpacked(self.network.state(seen, beginning, ground).p)
+        centres = [ball.centre]
+        with full_precision(ground.device):
+            for _ in range(horizon - 1):
+                ball = self.network.rolling(ball, ground)
+                centres.append(ball.centre)
+        truth = balls.centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
+        off = torch.stack(centres, dim=2) - truth.nan_to_num()
+        off = PIXEL_UNIT * torch.where(truth.isnan(), 0.0, off)
+        weights = step_weights(horizon, self.training.halving).to(off.device)
+        return (weights * smooth_distance(off, ROUNDING)).mean(dim=(1, 2))
+
+
+def _alone(batch: BallBatch, rows: "_Rows") -> Tensor:
+    """[M] 1 for balls with a known future in windows where no other ball has one, otherwise 0."""
+    known = ~batch.centres[..., :2].isnan().flatten(2).any(dim=2)
+    single = (known.sum(dim=1) == 1)[rows.window]
+    return (single & known[rows.window, rows.ball]).float()
 
 
 @dataclass(frozen=True)

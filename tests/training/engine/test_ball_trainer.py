@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,3 +72,25 @@ def test_the_loss_falls_on_what_is_seen_again_and_again(tmp_path, unseen):
     for _ in range(14):
         last = training._step(batch, 0.1)
     assert last < 0.8 * first
+
+
+def test_trajectories_teach_the_refiner_where_a_future_is_known(tmp_path, unseen):
+    made = trainer(tmp_path, 10, unseen)
+    made.training = replace(made.training, trajectory=1.0, horizon=6, looked_at=3.0)
+    batch = next(iter(Windows(0)))
+    assert made.losses(batch)["trajectories"] == 0  # planar scenes have no future
+    first = batch.centres[:, 0, :4, :2]
+    velocity = first[:, -1:] - first[:, -2:-1]
+    future = first[:, -1:] + torch.arange(1, batch.centres.shape[2] - 3)[:, None] * velocity
+    batch.centres[:, 0, :, :2] = torch.cat([first, future], dim=1)
+    missed = made.losses(batch)["trajectories"]
+    assert missed > 0
+    missed.backward()
+    gradients = {
+        name: parameter.grad.abs().max()
+        for name, parameter in made.network.named_parameters()
+        if parameter.grad is not None
+    }
+    assert gradients["eye.refiner.correction.weight"] > 0
+    assert gradients["eye.state.0.weight"] > 0
+    assert not any(name.startswith("rolling") for name in gradients)
