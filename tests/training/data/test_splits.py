@@ -15,5 +15,5 @@ def test_more_scenes_begin_with_the_same_ones():
 
 @pytest.mark.parametrize("scenes", [0, MAX_SCENES + 1])
 def test_a_split_has_bounds(scenes):
-    with pytest.raises(ValueError, match="scenes asked"):
+    with pytest.raises(ValueError, match="a split has 1 to"):
         seeds("test", scenes)
