@@ -52,6 +52,9 @@ nitpick_ignore_regex = [
     ("py:class", r"Ge|Gt|Le|Lt|MinLen|MaxLen|FailFast|Strict|-?[0-9.]+|'.*'"),
     # Protocols and type variables, which say what is accepted and need no page of their own.
     ("py:(class|obj)", r"rollcast\..*\.(Supports\w+|FrameTensor|\w+T|_\w+)"),
+    # What sessions of the client are made of.
+    ("py:class", r"rollcast\.client\.(calls\.Call|connection\.Target)"),
+    ("py:class", r"rollcast\.client\.(fake_session|sessions)\.\w+"),
     # Bodies whose fields only the description of the HTTP API has.
     ("py:class", r"rollcast\.schemas\.(BallPrompt|DetectResponse)|_PydanticGeneralMetadata"),
     # Two attributes that share a description.
