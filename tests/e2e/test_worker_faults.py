@@ -49,7 +49,8 @@ def test_a_killed_worker_is_replaced_and_has_the_models_of_the_others():
         killed.kill()
         wait_for(lambda: killed.pid not in {one.pid for one in service.workers()})
         # Connections go to the other worker until the new one has its models.
-        assert predict(service).status_code == 503  # the model is unloaded
+        # The other worker follows the change of models within a poll of its file.
+        wait_for(lambda: predict(service).status_code == 503)
         wait_for(lambda: len(service.workers()) == 2)
         after = connect_to_each(service, stack)
         wait_for(lambda: statuses(after) == {"unloaded"})
@@ -78,8 +79,8 @@ def test_a_worker_that_ends_before_it_served_is_replaced_beside_one_that_serves(
         assert live.status_code == 200
         first.kill()
         service.process.resume()
+        wait_for(lambda: restarts(service, "exited") == 1)
         wait_for(lambda: len(service.workers()) == 2)
-        assert restarts(service, "exited") == 1
 
 
 def test_a_stopped_worker_is_noticed_and_replaced():
