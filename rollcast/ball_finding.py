@@ -29,15 +29,18 @@ LEAST_MOVING = 0.25
 LEAST_MOTION = 0.05
 """The same, from which on it may move."""
 SURELY_MOVING = 0.5
-"""The same, from which on no closer look is needed."""
+"""The same, from which on the whole frames suffice."""
 
-LEAST_WAY, WAY_ERROR = 0.3 / 64, 0.1 / 64
-"""Way over the seen frames from which on a ball moves, and its error, points of the square."""
+MIN_DISPLACEMENT, DISPLACEMENT_ERROR = 0.3 / 64, 0.1 / 64
+"""Displacement over the seen frames from which on a ball moves, and its error, points of the
+square."""
 
-CLOSER = 0.55
-"""Side of the squares of a closer look, relative to the shorter side of the frames."""
-CLOSER_CONFIDENCE = 0.5
-"""Factor of scores there: false alarms are more frequent than in whole frames."""
+TILE_SHARE = 0.55
+"""Side of the tiles for small balls, relative to the shorter side of the frames."""
+LARGEST_RATIO = 4
+"""Longer side of the frames over the side of a tile, at most: a strip would have hundreds."""
+TILE_SCORE_FACTOR = 0.5
+"""Factor of scores in tiles, where false alarms are more frequent than in whole frames."""
 
 Arrays = Mapping[str, np.ndarray]
 Detect = Callable[[UInt8[np.ndarray, "1 4 128 128 3"]], Arrays]
@@ -56,8 +59,10 @@ class _Rows:
         """Return some of the balls."""
         return type(self)(*(values[index] for values in self._columns()))
 
-    def joined(self, other: Self) -> Self:
-        """Return these balls and others."""
+    def joined(self, other: Self | None) -> Self:
+        """Return these balls and others, if there are any."""
+        if other is None:
+            return self
         columns = zip(self._columns(), other._columns(), strict=True)
         return type(self)(*(np.concatenate(both) for both in columns))
 
@@ -128,7 +133,7 @@ def find_balls(
         found = Candidates(*(said[field.name][0][kept] for field in fields(Candidates)))
         balls = _looked_at(refine, frames, found)
         if not (balls.scores * balls.moving > SURELY_MOVING).any():
-            balls = _closer_look(detect, refine, frames, balls)
+            balls = balls.joined(_small_balls(detect, refine, frames))
         return balls.taken(_distinct(balls.places[:, -1], balls.radii, balls.scores)), said
     voted = votes_at(said["votes"][0], prompts)
     known = voted["radii"] if radii is None else np.where(np.isnan(radii), voted["radii"], radii)
@@ -141,24 +146,27 @@ def find_balls(
     return _looked_at(refine, frames, found), said
 
 
-def _closer_look(
-    detect: Detect, refine: Refine, frames: UInt8[np.ndarray, "4 height width 3"], balls: Balls
-) -> Balls:
-    """Add the balls that the detector finds in squares of half the size.
+def _small_balls(
+    detect: Detect, refine: Refine, frames: UInt8[np.ndarray, "4 height width 3"]
+) -> Balls | None:
+    """Find balls that surely move in tiles, where they are larger than in the whole frames.
 
-    Small balls are larger there. Frames with nothing more to show than the detector has seen are
-    not looked at again.
+    Returns
+    -------
+    Balls or None
+        None without such balls, or where tiles show no more than the whole frames.
     """
-    side = round(CLOSER * min(frames.shape[1:3]))
+    side = round(TILE_SHARE * min(frames.shape[1:3]))
     if side < NETWORK_FRAME_SIZE:
-        return balls
-    found = _in_squares(detect, frames, side)
-    found = found.taken(found.scores > LEAST_SCORE)
+        return None
+    found = _detect_in_tiles(detect, frames, side)
+    # Patches lower both confidences.
+    found = found.taken(found.scores * found.moving > SURELY_MOVING)
     if not len(found.radii):
-        return balls
-    more = _looked_at(refine, frames, found)
-    more = more.taken(more.scores * more.moving > SURELY_MOVING)
-    return balls.joined(replace(more, scores=CLOSER_CONFIDENCE * more.scores))
+        return None
+    balls = _looked_at(refine, frames, found)
+    balls = balls.taken(balls.scores * balls.moving > SURELY_MOVING)
+    return replace(balls, scores=TILE_SCORE_FACTOR * balls.scores)
 
 
 def by_motion(balls: Balls) -> np.ndarray:
@@ -209,9 +217,9 @@ def _looked_at(refine: Refine, frames: np.ndarray, found: Candidates) -> Balls:
     places = places + widths[:, None, None] * seen["offsets"]
     radii = widths * np.exp(seen["log_radius"])
     visible = _sigmoid(seen["visible"])
-    # Motion is measured more exactly in patches than the detector sees it.
-    way = np.linalg.norm(places - places[:, -1:], axis=-1).max(axis=-1)
-    moving = found.moving * _sigmoid((way - LEAST_WAY) / WAY_ERROR)
+    # Patches measure motion more exactly than the detector.
+    displacement = np.linalg.norm(places - places[:, -1:], axis=-1).max(axis=-1)
+    moving = found.moving * _sigmoid((displacement - MIN_DISPLACEMENT) / DISPLACEMENT_ERROR)
     return Balls(
         places, radii, found.scores * visible[:, -1], moving, visible,
         seen["log_sigmas"] + np.log(widths)[:, None], seen["features"],
@@ -275,7 +283,7 @@ def sight_balls(
         Whether balls that hardly move are looked at closer too.
     """
     side = min(frames.shape[1:3])
-    found = _in_squares(detect, frames, side)
+    found = _detect_in_tiles(detect, frames, side)
     found = found.taken(found.scores > least_score)
     box = Letterbox(*frames.shape[1:3])
     visible = np.ones(found.places.shape[:2], np.float32)
@@ -294,25 +302,30 @@ def sight_balls(
     return every.taken(_distinct(every.paths[:, -1], every.radii, every.scores))
 
 
-def _in_squares(
+def _detect_in_tiles(
     detect: Detect, frames: UInt8[np.ndarray, "4 height width 3"], side: int
 ) -> Candidates:
-    """Run the detector on overlapping squares that cover the frames."""
-    rows, columns = (_starts(length, side) for length in frames.shape[1:3])
+    """Run the detector on overlapping tiles that cover the frames, at most ten.
+
+    Tiles are squares, of strips as high as these and a quarter as long.
+    """
+    whole = Letterbox(*frames.shape[1:3])
+    side = max(side, ceil(whole.side / LARGEST_RATIO))
+    rows, columns = (_tile_starts(length, side) for length in frames.shape[1:3])
     corners = np.array([(x, y) for y in rows for x in columns])
-    parts = [frames[:, y : y + side, x : x + side] for x, y in corners]
-    said = detect(np.stack([letterboxed(part, NETWORK_FRAME_SIZE) for part in parts]))
-    box = Letterbox(*frames.shape[1:3])
-    pixels = Letterbox(side, side).pixels(said["places"]) + corners[:, None, None]
+    tiles = [frames[:, y : y + side, x : x + side] for x, y in corners]
+    said = detect(np.stack([letterboxed(tile, NETWORK_FRAME_SIZE) for tile in tiles]))
+    tile = Letterbox(*tiles[0].shape[1:3])
+    pixels = tile.pixels(said["places"]) + corners[:, None, None]
     return Candidates(
-        box.points(pixels).reshape(-1, *pixels.shape[2:]),
-        (said["radii"] * (side / box.side)).reshape(-1),
-        said["scores"].reshape(-1).copy(),
-        said["moving"].reshape(-1).copy(),
+        whole.points(pixels).reshape(-1, *pixels.shape[2:]),
+        (said["radii"] * (tile.side / whole.side)).reshape(-1),
+        said["scores"].reshape(-1),
+        said["moving"].reshape(-1),
     )
 
 
-def _starts(length: int, side: int) -> list[int]:
-    """Return the starts of the fewest sides, overlapping by a tenth, that cover a length."""
+def _tile_starts(length: int, side: int) -> list[int]:
+    """Return the starts of the fewest tiles, overlapping by a tenth, that cover a length."""
     count = 1 if side >= length else ceil((length - side) / (0.9 * side)) + 1
     return np.linspace(0, max(length - side, 0), count).round().astype(int).tolist()

@@ -1,8 +1,9 @@
 """The finding with networks that are computed by hand: dots on black, told by their brightness."""
 
 import numpy as np
+import pytest
 
-from rollcast.ball_finding import find_balls, moving_balls, votes_at
+from rollcast.ball_finding import find_balls, moving_balls, sight_balls, votes_at
 from rollcast.patches import Letterbox
 from tests.rollcast import dot_balls
 from tests.rollcast.dot_balls import CELLS, detect
@@ -50,6 +51,34 @@ def test_balls_that_are_small_in_the_whole_frame_are_found_in_parts_of_it():
     assert np.abs(Letterbox(600, 600).pixels(first.places[0]) - path).max() < 2
     reduced = find_balls(detect, refine, whole[:, ::5, ::5])[0]
     assert (reduced.scores < 0.3).all()  # nothing more to see
+
+
+@pytest.mark.parametrize(
+    "size", [(32, 4096), (4096, 32), (240, 4096), (466, 1024), (720, 1280), (600, 600)]
+)
+def test_the_detector_runs_on_few_tiles_whatever_the_rectangle(size):
+    """A strip has as many squares of its height as its client likes."""
+    counted: list[int] = []
+
+    def counting(frames: np.ndarray) -> dict[str, np.ndarray]:
+        counted.append(len(frames))
+        return detect(frames)
+
+    blank = np.zeros((4, *size, 3), np.uint8)
+    find_balls(counting, refine, blank)
+    sight_balls(counting, refine, blank, 0.1, refine_still=False)
+    assert max(counted) <= 10
+
+
+@pytest.mark.parametrize("size", [(60, 900), (900, 60), (200, 900), (300, 300)])
+def test_balls_of_strips_are_sighted_where_they_are(size):
+    height, width = size
+    start = np.array([0.8 * width, 0.5 * height] if width > height else [0.5 * width, 0.8 * height])
+    path = start + np.arange(4)[:, None] * np.array([1.5, 1.0])
+    frames = frames_of(path[None], height, width, spread=5)
+    seen = sight_balls(detect, refine, frames, 0.3, refine_still=True)
+    first = seen.taken(np.argsort(-seen.scores)[:1])
+    assert np.abs(first.paths[0] - path).max() < 2
 
 
 def test_a_ball_that_rests_does_not_move_whatever_the_detector_says():
