@@ -76,8 +76,8 @@ def test_the_balls_are_counted_and_ordered_by_hue(four):
 def test_nearly_all_of_the_balls_are_found_where_they_are(four):
     made, (tracks, _, _) = four
     apart = distances(tracks, made.positions_px)
-    assert tracks.found.mean() > 0.92
-    assert np.nanmedian(apart) < 0.4
+    assert tracks.found.mean() > 0.96
+    assert np.nanmedian(apart) < 0.25
     assert np.nanquantile(apart, 0.98) < RADIUS_PX / 2
 
 
@@ -122,8 +122,13 @@ def test_balls_of_one_colour_are_told_apart_by_where_they_go(tmp_path, finder):
                 strict=True, reason="both balls are hidden at once, and one is lost afterwards"
             ),
         ),
-        2,
+        pytest.param(
+            2, marks=pytest.mark.xfail(strict=True, reason="a ball beside the bar is found late")
+        ),
         3,
+        4,
+        5,
+        6,
     ],
 )
 def test_what_is_hidden_is_a_gap_and_the_ball_the_same_after_it(tmp_path, finder, seed):
@@ -136,7 +141,7 @@ def test_what_is_hidden_is_a_gap_and_the_ball_the_same_after_it(tmp_path, finder
     assert tracks.found[hidden].mean() <= 0.5
     assert (tracks.confidences[~tracks.found] == 0).all()
     clear = (x < 110 - RADIUS_PX) | (x > 140 + RADIUS_PX)
-    assert tracks.found[clear].mean() > 0.96
+    assert tracks.found[clear].mean() > 0.97
     assert np.nanmax(distances(tracks, made.positions_px)[clear]) < RADIUS_PX
     assert quality.gaps
 
