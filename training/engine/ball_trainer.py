@@ -16,10 +16,9 @@ from training.engine.loop import Optimisation, TrainerConfig, TrainingLoop
 from training.networks.any_ball import AnyBallNet, Beginning, Seen
 from training.networks.ball_detector import PIXEL, BallMaps, peaks, voted
 from training.networks.blocks import PIXEL_UNIT
-from training.networks.fieldnet import Ball
 from training.networks.patches import half_widths
 from training.objectives.detection import DetectionLoss, RefinementLoss, chosen
-from training.objectives.losses import smooth_distance, step_weights
+from training.objectives.losses import known_difference, smooth_distance, step_weights
 from training.objectives.schedules import Cosine
 
 ROUNDING = 0.5
@@ -174,15 +173,12 @@ class BallTrainer(TrainingLoop[BallBatch]):
     ) -> Tensor:
         """Mean error [M] of trajectories of single balls, in pixels; unknown places are free."""
         horizon = self.training.horizon
-        ball = Ball.unpacked(self.network.state(seen, beginning, ground).p)
-        centres = [ball.centre]
+        state = self.network.state(seen, beginning, ground)
         with full_precision(ground.device):
-            for _ in range(horizon - 1):
-                ball = self.network.rolling(ball, ground)
-                centres.append(ball.centre)
+            steps = self.network.rolling.trajectory(state, horizon)
+        centres = torch.stack([step.centre for step in steps], dim=2)
         truth = balls.centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
-        off = torch.stack(centres, dim=2) - truth.nan_to_num()
-        off = PIXEL_UNIT * torch.where(truth.isnan(), 0.0, off)
+        off = PIXEL_UNIT * known_difference(centres, truth)
         weights = step_weights(horizon, self.training.halving).to(off.device)
         return (weights * smooth_distance(off, ROUNDING)).mean(dim=(1, 2))
 

@@ -14,7 +14,7 @@ from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.data.ball_batch import BallBatch, collate
 from training.data.ball_windows import BallSource
 from training.networks.any_ball import AnyBallNet
-from training.networks.fieldnet import MESSAGE, Ball, true_state
+from training.networks.fieldnet import MESSAGE, true_state
 from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Observation
 from training.objectives.losses import MotionLoss, SpinLoss
 
@@ -97,13 +97,8 @@ def _loss(
     balls = int(batch.there[0].sum())
     centres, spins = batch.centres[:, :balls], batch.spins[:, :balls, :horizon]
     state = true_state(centres[:, :, :OBSERVED_FRAMES], spins[:, :, 0], batch.ground, batch.scene)
-    ball = Ball.unpacked(state.p)
-    moved, turned = [ball.centre], [ball.spin]
-    for _ in range(horizon - 1):
-        ball = network.rolling(ball, state.s)
-        moved.append(ball.centre)
-        turned.append(ball.spin)
-    paths = torch.stack(moved, dim=2)
-    velocities = ANGULAR_VELOCITY_UNIT * torch.stack(turned, dim=2)
+    steps = network.rolling.trajectory(state, horizon)
+    paths = torch.stack([step.centre for step in steps], dim=2)
+    velocities = ANGULAR_VELOCITY_UNIT * torch.stack([step.spin for step in steps], dim=2)
     truth = centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
     return motion(paths, truth) + spin(Observation(paths[..., :2], None, velocities), spins)

@@ -18,11 +18,15 @@ from training.data.ball_batch import BallBatch
 from training.networks.any_ball import AnyBallNet, Seen, seen_balls
 from training.networks.ball_detector import PIXEL, BallMaps, voted
 from training.networks.blocks import PIXEL_UNIT
-from training.networks.fieldnet import Ball
 from training.networks.patches import half_widths
 from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Observation
-from training.objectives.detection import RefinementLoss
-from training.objectives.losses import LikelihoodLoss, SpinLoss, smooth_distance, step_weights
+from training.objectives.losses import (
+    LikelihoodLoss,
+    MotionLoss,
+    SpinLoss,
+    known_difference,
+    smooth_distance,
+)
 
 VISIBLE = 0.3
 """Smallest visible share in the last frame of balls that are read."""
@@ -185,16 +189,10 @@ def trajectory_loss(
     """Loss of trajectories that begin with what was read, in pixels; what is not known is free."""
     seen = readings.seen
     balls = network.eye.begin(seen, readings.ground, readings.scene)
-    ball = Ball.unpacked(network.state(seen, balls, readings.ground).p)
-    steps = [ball]
-    for _ in range(horizon - 1):
-        steps.append(network.rolling(steps[-1], readings.ground))
+    steps = network.rolling.trajectory(network.state(seen, balls, readings.ground), horizon)
     centres = torch.stack([step.centre for step in steps], dim=2)
     truth = readings.centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
-    off = PIXEL_UNIT * torch.where(truth.isnan(), 0.0, centres - truth.nan_to_num())
-    weights = step_weights(horizon, halving)
-    moved = smooth_distance(off[:, :, 1:] - off[:, :, :-1], RefinementLoss.rounding)
-    loss = (weights * smooth_distance(off, RefinementLoss.rounding)).mean() + moved.mean()
+    loss = MotionLoss(halving)(centres, truth)
     doubt = torch.stack([step.doubt for step in steps], dim=2)
     flat = torch.cat([centres[..., :2].detach(), doubt], dim=-1)
     positions, covariances = network.output(flat)
@@ -205,6 +203,6 @@ def trajectory_loss(
     loss = loss + SpinLoss(halving)(made, readings.spins[:, :, :horizon])
     now, before = (readings.centres[:, :, OBSERVED_FRAMES - 1 - back] for back in (0, 1))
     for said, true in ((balls.centres, now), (balls.velocities, now - before)):
-        unlike = torch.where(true.isnan(), 0.0, said - true.nan_to_num())
-        loss = loss + smooth_distance(PIXEL_UNIT * unlike, RefinementLoss.rounding).mean()
+        off = PIXEL_UNIT * known_difference(said, true)
+        loss = loss + smooth_distance(off, MotionLoss.rounding).mean()
     return loss

@@ -177,6 +177,13 @@ class Rolling(nn.Module):
         rolled = ball._replace(centre=ball.centre + ball.velocity, doubt=doubt)
         return rolled.changed(moved, pushed, turned)
 
+    def trajectory(self, state: State, horizon: int) -> list[Ball]:
+        """Balls [B, N, ...] at the steps 0..horizon-1, from a state without a final frame on."""
+        balls = [Ball.unpacked(state.p)]
+        for _ in range(horizon - 1):
+            balls.append(self(balls[-1], state.s))
+        return balls
+
     def _inputs(self, ball: Ball, ground_B3GG: Tensor) -> Tensor:
         """Return the inputs [B, N, size] of the perceptrons."""
         velocity, flat = ball.velocity, ball.velocity[..., :2]
@@ -351,9 +358,7 @@ class FieldNet(PerceptionNetwork):
 
     def forecast_from(self, state: State, horizon: int) -> tuple[Tensor, Tensor]:
         """Centres [B, N, T, 3] and angular velocities [B, N, T, 3] in rad/s, from a state on."""
-        balls = [Ball.unpacked(state.p)]
-        for _ in range(horizon - 1):
-            balls.append(self.rolling(balls[-1], state.s))
+        balls = self.rolling.trajectory(state, horizon)
         centres = torch.stack([ball.centre for ball in balls], dim=2)
         spins = torch.stack([ball.spin for ball in balls], dim=2)
         return centres, ANGULAR_VELOCITY_UNIT * spins

@@ -11,7 +11,7 @@ from training.networks.ball_detector import MAP_CELLS, PIXEL, BallMaps
 from training.networks.blocks import PIXEL_UNIT, cell_centres
 from training.networks.perception import sampled
 from training.networks.recurrent import ANGULAR_VELOCITY_UNIT
-from training.objectives.losses import smooth_distance
+from training.objectives.losses import known_difference, smooth_distance
 
 CELL = 2 / MAP_CELLS
 MOST_HIDDEN = 0.5
@@ -190,12 +190,12 @@ class RefinementLoss:
 
     def _beginning(self, balls: Beginning, batch: BallBatch, count: Tensor) -> dict[str, Tensor]:
         now, before = (batch.centres[:, :, OBSERVED_FRAMES - 1 - back] for back in (0, 1))
-        off = _unlike(balls.centres, now)
-        hasty = _unlike(balls.velocities, now - before)
+        off = known_difference(balls.centres, now)
+        hasty = known_difference(balls.velocities, now - before)
         height = PIXEL_UNIT * off[..., 2].abs()
         spins = ANGULAR_VELOCITY_UNIT * balls.spins
         truth = batch.spins[:, :, 0]
-        turned = smooth_distance(_unlike(spins, truth), 0.5)
+        turned = smooth_distance(known_difference(spins, truth), 0.5)
         turned = turned / (1 + truth.nan_to_num().norm(dim=-1) / ANGULAR_VELOCITY_UNIT)
         # Height is known of simulated scenes alone; their number changes from batch to batch.
         return {
@@ -226,8 +226,3 @@ def chosen(batch: BallBatch, index_BR: Tensor) -> BallBatch:
 
     per_ball = ("places", "radii", "visible", "moving", "centres", "spins", "there")
     return batch._replace(**{name: of(getattr(batch, name)) for name in per_ball})
-
-
-def _unlike(said: Tensor, truth: Tensor) -> Tensor:
-    """Difference, zero where the truth is not known."""
-    return torch.where(truth.isnan(), 0.0, said - truth.nan_to_num())

@@ -50,7 +50,9 @@ class DistanceLoss:
     def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
         """Loss of a forecast in pixels."""
         weights = step_weights(positions_BNT2.shape[2], self._halving)
-        error = smooth_distance(_unlike(forecast.positions, positions_BNT2), self._rounding)
+        error = smooth_distance(
+            known_difference(forecast.positions, positions_BNT2), self._rounding
+        )
         return (weights.to(error.device) * error).mean()
 
 
@@ -127,7 +129,7 @@ class SpinLoss:
             error = (forecast.angular_velocities - truth).square().sum(-1)
             return self._weight * (weights * error).mean()
         scale = 1 + truth.nan_to_num().norm(dim=-1) / ANGULAR_VELOCITY_UNIT
-        off = _unlike(forecast.angular_velocities, truth)
+        off = known_difference(forecast.angular_velocities, truth)
         error = smooth_distance(off, self._rounding) / scale
         return self._weight * (weights * error).mean()
 
@@ -203,7 +205,7 @@ class ReadingLoss:
         before = centres[:, :, OBSERVED_FRAMES - 2]
         judged = self._judged(reading, seen)
         found = judged[-1].amin(dim=2)
-        off = _unlike(reading.centres, now)
+        off = known_difference(reading.centres, now)
         loss = self._pixels(off[..., :2], found)
         loss = loss + self.height * PIXEL_UNIT * (found * off[..., 2].abs()).mean()
         looks = zip(self.looks, reading.seen_positions, judged, strict=False)
@@ -212,14 +214,14 @@ class ReadingLoss:
         moved = reading.seen_positions[-1].diff(dim=2) - seen.diff(dim=2)
         loss = loss + self.displacement * self._pixels(moved, found[..., None])
         if reading.radii is not None and radii_BN is not None:
-            unlike = _unlike(reading.radii.log(), radii_BN.log())
+            unlike = known_difference(reading.radii.log(), radii_BN.log())
             loss = loss + self.radius * (found * unlike.abs()).mean()
-        off = _unlike(reading.velocities, now - before)
+        off = known_difference(reading.velocities, now - before)
         loss = loss + self.velocity * self._pixels(off, found)
-        unlike = _unlike(reading.ground, ground).abs()
+        unlike = known_difference(reading.ground, ground).abs()
         loss = loss + self.ground * unlike.sum(dim=1).mean()
         loss = loss + self.way * self._along_the_way(reading.ground, ground, centres)
-        return loss + self.measures * _unlike(reading.measures, measures).abs().mean()
+        return loss + self.measures * known_difference(reading.measures, measures).abs().mean()
 
     def _along_the_way(self, read: Tensor, ground: Tensor, centres: Tensor) -> Tensor:
         """Mean error of the ground where the balls will be: more than elsewhere depends on it."""
@@ -262,9 +264,9 @@ class MotionLoss:
         self._halving = halving
 
     def __call__(self, centres_BNT3: Tensor, truth_BNT3: Tensor) -> Tensor:
-        """Loss of rolled-out centres, halves of the frame."""
+        """Loss of rolled-out centres, halves of the frame; unknown ones (NaN) cost nothing."""
         weights = step_weights(truth_BNT3.shape[2], self._halving).to(truth_BNT3.device)
-        off = PIXEL_UNIT * (centres_BNT3 - truth_BNT3)
+        off = PIXEL_UNIT * known_difference(centres_BNT3, truth_BNT3)
         moved = (off[:, :, 1:] - off[:, :, :-1]).norm(dim=-1)
         return (weights * smooth_distance(off, self.rounding)).mean() + moved.mean()
 
@@ -275,8 +277,8 @@ def final_loss(forecast: Observation, final_positions_BN2: Tensor) -> Tensor:
     return smooth_distance(forecast.final_positions - final_positions_BN2, 0.5).mean()
 
 
-def _unlike(read: Tensor, truth: Tensor) -> Tensor:
-    """Difference, zero where the truth is not known."""
+def known_difference(read: Tensor, truth: Tensor) -> Tensor:
+    """Difference from the truth, zero where that is not known (NaN)."""
     return torch.where(truth.isnan(), 0.0, read - truth.nan_to_num())
 
 
