@@ -24,7 +24,7 @@ from training.objectives.schedules import Cosine
 ROUNDING = 0.5
 """Distance in pixels below which errors of trajectories are rounded off."""
 VISIBLE = 0.3
-"""Smallest visible share in the last frame of balls whose patches are trained on."""
+"""Smallest visible share in the last frame of balls whose patches are read."""
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.data.ball_batch import BallBatch
+from training.engine.ball_trainer import VISIBLE
 from training.networks.any_ball import AnyBallNet, Seen, seen_balls
 from training.networks.ball_detector import PIXEL, BallMaps, voted
 from training.networks.blocks import PIXEL_UNIT
@@ -28,8 +29,6 @@ from training.objectives.losses import (
     smooth_distance,
 )
 
-VISIBLE = 0.3
-"""Smallest visible share in the last frame of balls that are read."""
 MOST_BALLS = 3
 """Balls of a window at most: as many as the simulations have."""
 MOTION_PARTS = ("eye.state.", "rolling.", "first_doubt.", "unsure.")

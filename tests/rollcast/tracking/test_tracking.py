@@ -123,7 +123,7 @@ def test_balls_of_one_colour_are_told_apart_by_where_they_go(tmp_path, finder):
             ),
         ),
         pytest.param(
-            2, marks=pytest.mark.xfail(strict=True, reason="a ball beside the bar is found late")
+            2, marks=pytest.mark.xfail(strict=True, reason="clear balls are found in 96.6 %")
         ),
         3,
         4,
