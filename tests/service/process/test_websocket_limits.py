@@ -152,11 +152,13 @@ def test_a_message_in_tiny_pieces_counts_what_they_take(tmp_path):
     with served(tmp_path, max_body_bytes=2**20, read_timeout_s=30, write_timeout_s=30) as address:
         with connected(address) as client:
             shake_hands(client)
-            threading.Thread(target=everything, args=[client], daemon=True).start()
+            reader = threading.Thread(target=everything, args=[client], daemon=True)
+            reader.start()
             with pytest.raises(OSError):  # noqa: PT011, PT012 - reset, or a broken pipe
                 client.sendall(piece(BINARY, b"x", last=False))
                 for _ in range(1000):
                     client.sendall(piece(CONTINUATION, b"x", last=False) * 1000)
+            reader.join(PATIENCE_S)  # before its socket is closed
         wait_for_the_end(address)
         assert still_well(address)
 
