@@ -81,43 +81,42 @@ async def answered(
     QueueFullError
         When it is not taken.
     """
-    token = CancellationToken()
-    work = asyncio.wrap_future(submit(token))
     gone = asyncio.ensure_future(_disconnect(request))
     try:
-        done, _ = await asyncio.wait(
-            {work, gone}, timeout=timeout, return_when=asyncio.FIRST_COMPLETED
-        )
-        if work in done:
-            return work.result()
-        if gone in done:
-            raise ClientGoneError
-        raise DeadlineExceededError(f"The answer was not there after {timeout:g} s.")
+        return await awaited(timeout, submit, gone)
     finally:
-        token.cancel()
         gone.cancel()
-        work.cancel()
         with suppress(asyncio.CancelledError, Exception):
             await gone
 
 
-async def awaited(timeout: float, submit: Callable[[CancellationToken], Future[T]]) -> T:
+async def awaited(
+    timeout: float | None,
+    submit: Callable[[CancellationToken], Future[T]],
+    gone: asyncio.Future[None] | None = None,
+) -> T:
     """Submit a call and return its result; cancelled, the call is cancelled too.
+
+    Parameters
+    ----------
+    gone
+        Completed when the client goes away; None where its task is cancelled then.
 
     Raises
     ------
-    DeadlineExceededError
-        When it takes longer than ``timeout`` seconds, the wait in the queue included.
-    QueueFullError
-        When it is not taken.
+    ClientGoneError, DeadlineExceededError, QueueFullError
+        As :func:`answered`.
     """
     token = CancellationToken()
     work = asyncio.wrap_future(submit(token))
+    ends = {work} if gone is None else {work, gone}
     try:
-        done, _ = await asyncio.wait({work}, timeout=timeout)
-        if not done:
-            raise DeadlineExceededError(f"The answer was not there after {timeout:g} s.")
-        return work.result()
+        done, _ = await asyncio.wait(ends, timeout=timeout, return_when=asyncio.FIRST_COMPLETED)
+        if work in done:
+            return work.result()
+        if done:
+            raise ClientGoneError
+        raise DeadlineExceededError(f"The answer was not there after {timeout:g} s.")
     finally:
         token.cancel()
         work.cancel()

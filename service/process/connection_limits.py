@@ -34,8 +34,63 @@ MESSAGE_MARGIN = 2**20
 """Bytes of overhead allowed for the pieces of one message."""
 TRY_AGAIN_LATER = 1013
 MESSAGE_TOO_BIG = 1009
-LOOKS = 4
-"""Times that a connection is looked at before its time is over."""
+CHECKS = 4
+"""Checks of a connection before its time is over."""
+
+
+class _TimeLimits:
+    """Aborts a connection whose client sends or reads too slowly.
+
+    Parameters
+    ----------
+    loop
+        The event loop.
+    transport
+        Returns the connection's transport.
+    settings
+        The limits.
+    is_paused
+        Returns whether the application reads nothing; the client's time stands still then.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        transport: Callable[[], asyncio.Transport],
+        settings: Settings,
+        is_paused: Callable[[], bool],
+    ) -> None:
+        self._loop, self._transport, self._is_paused = loop, transport, is_paused
+        self._read_s, self._write_s = settings.read_timeout_s, settings.write_timeout_s
+        self.interval = min(self._read_s, self._write_s) / CHECKS
+        """Time between two checks, seconds."""
+        self.awaited_since: float | None = None
+        """Time from which on the client is waited for; None if it need send nothing."""
+        self._unread_bytes = 0
+        self._read_at = loop.time()
+        self._check_again = loop.call_later(self.interval, self._check)
+
+    def read(self) -> None:
+        """Note that the client reads."""
+        self._read_at = self._loop.time()
+
+    def stop(self) -> None:
+        """Check no more."""
+        self._check_again.cancel()
+
+    def _check(self) -> None:
+        now = self._loop.time()
+        if self._is_paused() and self.awaited_since is not None:
+            self.awaited_since = now
+        unread = self._transport().get_write_buffer_size()
+        if unread < self._unread_bytes or not unread:
+            self._read_at = now
+        self._unread_bytes = unread
+        late = self.awaited_since is not None and now > self.awaited_since + self._read_s
+        if late or now > self._read_at + self._write_s:
+            self._transport().abort()
+        else:
+            self._check_again = self._loop.call_later(self.interval, self._check)
 
 
 class Connection(HttpToolsProtocol):
@@ -62,26 +117,20 @@ class Connection(HttpToolsProtocol):
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
         self._stopping = stopping
-        self._receive_s = settings.read_timeout_s
-        self._send_s = settings.write_timeout_s
-        self._interval = min(self._receive_s, self._send_s) / LOOKS
-        self._look_again: asyncio.TimerHandle | None = None
-        self._awaited_since: float | None = None
+        self._time = _TimeLimits(
+            self.loop, lambda: self.transport, settings, lambda: self.flow.read_paused
+        )
         self._head_bytes: int | None = None
         self._framing = 0
-        self._untaken = 0
-        self._taken_at = 0.0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Await the first request."""
         super().connection_made(transport)
-        self._awaited_since = self._taken_at = self.loop.time()
-        self._look_again = self.loop.call_later(self._interval, self._look)
+        self._time.awaited_since = self.loop.time()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Look no more."""
-        if self._look_again is not None:
-            self._look_again.cancel()
+        """Stop the checks."""
+        self._time.stop()
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
@@ -98,13 +147,13 @@ class Connection(HttpToolsProtocol):
                 self.transport.abort()
         cycle = self.cycle  # before its first request it has none
         idle = cycle is None or cycle.response_complete  # pyright: ignore[reportUnnecessaryComparison]
-        if idle and self._awaited_since is None:
-            self._awaited_since = self.loop.time()
+        if idle and self._time.awaited_since is None:
+            self._time.awaited_since = self.loop.time()
 
     def on_message_begin(self) -> None:
         """Note when a request begins."""
         super().on_message_begin()
-        self._awaited_since = self.loop.time()
+        self._time.awaited_since = self.loop.time()
         self._head_bytes = 0
 
     def on_headers_complete(self) -> None:
@@ -113,14 +162,13 @@ class Connection(HttpToolsProtocol):
         cycle = self.cycle  # an upgrade to a WebSocket has none
         if cycle is not None and self._stopping():  # pyright: ignore[reportUnnecessaryComparison]
             cycle.keep_alive = False
-        self._awaited_since = self.loop.time() + self._interval
+        self._time.awaited_since = self.loop.time() + self._time.interval
         self._head_bytes = None
         self._framing = 0
 
     def handle_websocket_upgrade(self) -> None:
         """Hand the connection over; a ``WebSocketConnection`` has limits of its own."""
-        if self._look_again is not None:
-            self._look_again.cancel()
+        self._time.stop()
         super().handle_websocket_upgrade()
 
     def on_body(self, body: bytes) -> None:
@@ -131,26 +179,12 @@ class Connection(HttpToolsProtocol):
     def on_message_complete(self) -> None:
         """Await nothing more."""
         super().on_message_complete()
-        self._awaited_since = None
+        self._time.awaited_since = None
 
     def resume_writing(self) -> None:
         """Note that the client takes its answer."""
         super().resume_writing()
-        self._taken_at = self.loop.time()
-
-    def _look(self) -> None:
-        now = self.loop.time()
-        if self.flow.read_paused and self._awaited_since is not None:
-            self._awaited_since = now  # it is the app that does not read
-        untaken = self.transport.get_write_buffer_size()
-        if untaken < self._untaken or not untaken:
-            self._taken_at = now
-        self._untaken = untaken
-        late = self._awaited_since is not None and now > self._awaited_since + self._receive_s
-        if late or now > self._taken_at + self._send_s:
-            self.transport.abort()
-        else:
-            self._look_again = self.loop.call_later(self._interval, self._look)
+        self._time.read()
 
 
 class WebSocketConnection(WebSocketsSansIOProtocol):
@@ -179,20 +213,16 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         self._bodies = bodies()
         self._held = HeldBody()
         self._held.give_up = lambda: self._fail(TRY_AGAIN_LATER, "too many messages in memory")
-        self._receive_s = settings.read_timeout_s
-        self._send_s = settings.write_timeout_s
-        self._interval = min(self._receive_s, self._send_s) / LOOKS
-        self._look_again = self.loop.call_later(self._interval, self._look)
+        self._time = _TimeLimits(
+            self.loop, lambda: self.transport, settings, lambda: self.read_paused
+        )
         self._pieces_bytes = 0
         """Bytes of the finished pieces of an unfinished message, with their overhead."""
-        self._arriving_since: float | None = None
         self._unread_pongs = 0
-        self._untaken = 0
-        self._taken_at = self.loop.time()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Look no more, and release the bytes of an unfinished message."""
-        self._look_again.cancel()
+        """Stop the checks, and release the bytes of an unfinished message."""
+        self._time.stop()
         self._bodies.resize(self._held, 0)
         super().connection_lost(exc)
 
@@ -203,9 +233,9 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
             return
         arriving = len(self.conn.reader.buffer) + self._pieces_bytes
         if not arriving:
-            self._arriving_since = None
-        elif self._arriving_since is None:
-            self._arriving_since = self.loop.time()
+            self._time.awaited_since = None
+        elif self._time.awaited_since is None:
+            self._time.awaited_since = self.loop.time()
         if self._pieces_bytes > self.config.ws_max_size + MESSAGE_MARGIN:
             self._fail(MESSAGE_TOO_BIG, "a message in too many pieces")
             return
@@ -232,7 +262,7 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
     def send_receive_event_to_app(self) -> None:
         """Hand a message over, which the session counts from now on."""
         self._pieces_bytes = 0
-        self._arriving_since = None
+        self._time.awaited_since = None
         super().send_receive_event_to_app()
 
     def handle_ping(self) -> None:
@@ -252,17 +282,3 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         self.transport.write(b"".join(self.conn.data_to_send()))
         self.close_sent = True
         self.transport.close()
-
-    def _look(self) -> None:
-        now = self.loop.time()
-        if self.read_paused and self._arriving_since is not None:
-            self._arriving_since = now  # it is the app that does not read
-        untaken = self.transport.get_write_buffer_size()
-        if untaken < self._untaken or not untaken:
-            self._taken_at = now
-        self._untaken = untaken
-        late = self._arriving_since is not None and now > self._arriving_since + self._receive_s
-        if late or now > self._taken_at + self._send_s:
-            self.transport.abort()
-        else:
-            self._look_again = self.loop.call_later(self._interval, self._look)
