@@ -48,8 +48,8 @@ def test_a_killed_worker_is_replaced_and_has_the_models_of_the_others():
         killed, other = service.workers()
         killed.kill()
         wait_for(lambda: killed.pid not in {one.pid for one in service.workers()})
-        # Connections go to the other worker until the new one has its models.
-        # The other worker follows the change of models within a poll of its file.
+        # Connections go to the other worker until the new one has its models. It follows the change
+        # of models within a poll of its file.
         wait_for(lambda: predict(service).status_code == 503)
         wait_for(lambda: len(service.workers()) == 2)
         after = connect_to_each(service, stack)
