@@ -150,17 +150,17 @@ def train_motion(
     readings
         By number of balls.
     """
-    rolls, begins = [], []
+    motion, states = [], []
     for name, parameter in network.named_parameters():
         parameter.requires_grad_(name.startswith(MOTION_PARTS))
         if name.startswith("rolling."):
-            rolls.append(parameter)
+            motion.append(parameter)
         elif parameter.requires_grad:
-            begins.append(parameter)
-    parameters = [*begins, *rolls]
+            states.append(parameter)
+    parameters = [*states, *motion]
     learned = [
-        {"params": begins, "lr": training.state_rate},
-        {"params": rolls, "lr": training.motion_rate},
+        {"params": states, "lr": training.state_rate},
+        {"params": motion, "lr": training.motion_rate},
     ]
     rates = [group["lr"] for group in learned]
     optimiser = torch.optim.AdamW(learned, weight_decay=1e-3)
