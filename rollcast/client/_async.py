@@ -14,6 +14,7 @@ from tenacity import AsyncRetrying, retry_if_exception
 from rollcast.client.connection import Target
 from rollcast.client.deadline import Deadline
 from rollcast.client.retries import is_retryable, stop, wait_s
+from rollcast.client.sessions import handshake
 
 if TYPE_CHECKING:
     from websockets.asyncio.client import ClientConnection
@@ -142,7 +143,8 @@ class Socket:
         opened = AsyncExitStack()
         open_timeout = max(deadline.left_s(), 1e-3)
         connecting = connect(address, open_timeout=open_timeout, **options)
-        return cls(await opened.enter_async_context(connecting), opened)
+        with handshake():
+            return cls(await opened.enter_async_context(connecting), opened)
 
     async def send(self, message: str | bytes) -> None:
         """Send a message."""

@@ -18,6 +18,7 @@ from tenacity import Retrying, retry_if_exception
 from rollcast.client.connection import Target
 from rollcast.client.deadline import Deadline
 from rollcast.client.retries import is_retryable, stop, wait_s
+from rollcast.client.sessions import handshake
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -207,9 +208,10 @@ class Socket:
 
         opened = ExitStack()
         open_timeout = max(deadline.left_s(), SHORTEST_TIMEOUT_S)
-        connecting = cast(
-            "ClientConnection", connect(address, open_timeout=open_timeout, **options)
-        )
+        with handshake():
+            connecting = cast(
+                "ClientConnection", connect(address, open_timeout=open_timeout, **options)
+            )
         connection = opened.enter_context(connecting)
         # Sending has no timeout there; a service that reads nothing would block it for minutes.
         limit = struct.pack("ll", int(deadline), int(deadline % 1 * 1e6) or 1)

@@ -27,6 +27,27 @@ CLOSE_TIMEOUT_S = 2.0
 NOT_FOUND = 404
 
 
+@contextmanager
+def handshake() -> Generator[None]:
+    """Report a peer that talks or hangs up before it is asked as one that opens no session.
+
+    ``websockets.sync`` raises ``InvalidMessage`` when the peer's bytes, or their end, arrive after
+    the request was sent. Before that it raises ``ConnectionClosed``, or an assertion of its own
+    fails (16.1).
+
+    Raises
+    ------
+    websockets.exceptions.InvalidMessage
+        In all three cases.
+    """
+    from websockets.exceptions import ConnectionClosed, InvalidMessage
+
+    try:
+        yield
+    except (ConnectionClosed, AssertionError) as error:
+        raise InvalidMessage("did not receive a valid HTTP response") from error
+
+
 class LocalSession(Protocol):
     """A session without a network: its answers are there when ``send`` returns."""
 

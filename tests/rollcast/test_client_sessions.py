@@ -197,21 +197,21 @@ def bare_server(reply):
         kept = []
         thread = threading.Thread(target=accept)
         thread.start()
-        yield f"http://127.0.0.1:{listener.getsockname()[1]}"
-        listener.shutdown(socket.SHUT_RDWR)
-        thread.join()
-        for connection in kept:
-            connection.close()
+        try:
+            yield f"http://127.0.0.1:{listener.getsockname()[1]}"
+        finally:
+            listener.shutdown(socket.SHUT_RDWR)
+            thread.join()
+            for connection in kept:
+                connection.close()
 
 
 def test_something_that_is_not_http_is_named(kind):
-    with (
-        bare_server(b"SSH-2.0-OpenSSH\r\n\r\n") as url,
-        kind(url, timeout_s=10) as client,
-        pytest.raises(UnexpectedAnswerError, match="opens no session"),
-        client.session(),
-    ):
-        pass
+    # Its first bytes and its end race with the request: each order must be named the same.
+    with bare_server(b"SSH-2.0-OpenSSH\r\n\r\n") as url, kind(url, timeout_s=10) as client:
+        for _ in range(20):
+            with pytest.raises(UnexpectedAnswerError, match="opens no session"), client.session():
+                pass
 
 
 def test_a_handshake_without_an_answer_ends_in_time(kind):
