@@ -173,13 +173,14 @@ def read_evenly(
     frames: int = OBSERVED_FRAMES,
     crop: PictureCrop | None = None,
     frame_rate: float = FRAME_RATE_HZ,
+    told_rates: tuple[float, float] | None = None,
 ) -> Footage:
     """Read frames that follow each other evenly, from the frame nearest to a start.
 
-    Of a camera whose rate is a multiple of the one asked for, to RATE_TOLERANCE, every m-th frame
-    is taken, and the answer's ``frame_rate`` tells the truth. Where the camera took no frame
-    (another or a varying rate), one is blended from those before and after; the answer's
-    ``blended_over_s`` tells how far apart these are.
+    Of a camera whose rate is a multiple of the one asked for, to RATE_TOLERANCE, or comes nearest
+    to it within ``told_rates``, every m-th frame is taken, and the answer's ``frame_rate`` tells
+    the truth. Where the camera took no frame (another or a varying rate), one is blended from those
+    before and after; the answer's ``blended_over_s`` tells how far apart these are.
 
     Parameters
     ----------
@@ -191,6 +192,8 @@ def read_evenly(
         By default the largest square in the middle.
     frame_rate
         Frames a second that are asked for.
+    told_rates
+        Lowest and highest rate of a model that is told the rate of its frames.
 
     Raises
     ------
@@ -207,7 +210,7 @@ def read_evenly(
     head = list(islice(taken, 2 + LOOK_AHEAD))
     if len(head) > 1 and head[1].time_s - start_s < start_s - head[0].time_s:
         head.pop(0)
-    spacing_s = _spacing([frame.time_s for frame in head], frame_rate)
+    spacing_s = _spacing([frame.time_s for frame in head], frame_rate, told_rates)
     wanted = [head[0].time_s + index * spacing_s for index in range(frames)]
     made = list(resample(chain(head, taken), wanted, SNAP * spacing_s))
     if len(made) < frames:
@@ -331,11 +334,15 @@ def _checked(start_s: float) -> float:
     return start_s
 
 
-def _spacing(times_s: Sequence[float], frame_rate: float) -> float:
-    """Return the time between the wanted frames: a multiple of the camera's if that comes near."""
+def _spacing(
+    times_s: Sequence[float], frame_rate: float, told_rates: tuple[float, float] | None
+) -> float:
+    """Return the time between the wanted frames: a multiple of the camera's if that will do."""
     if len(times_s) < 2:
         return 1 / frame_rate
     distance_s = usual_distance(times_s)
     spacing_s = max(1, round(1 / (frame_rate * distance_s))) * distance_s
     is_near = abs(spacing_s * frame_rate - 1) <= RATE_TOLERANCE
-    return spacing_s if is_near else 1 / frame_rate
+    lowest, highest = told_rates or (math.inf, 0)
+    is_told = lowest <= 1 / spacing_s <= highest
+    return spacing_s if is_near or is_told else 1 / frame_rate

@@ -7,7 +7,7 @@ on level ground it errs less than networks that were trained on bowls and height
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 NOISE_RATIO = 0.2
 """Variance of the acceleration relative to that of an observed place, in the filter."""
@@ -26,7 +26,7 @@ def kinematic_forecast(
     places: Float[np.ndarray, "N K 2"],
     sigmas: Float[np.ndarray, "N 2"],
     acceleration_ratio: float,
-    steps: Int[np.ndarray, " T"],
+    steps: Float[np.ndarray, " T"],
 ) -> KinematicForecast:
     """Forecast balls of constant velocity.
 
@@ -40,7 +40,7 @@ def kinematic_forecast(
         Standard deviation of the change of velocity per step, relative to the speed. A fast ball
         meets more that slows or deflects it; one at rest stays where it is (decision 0146).
     steps
-        Steps to forecast.
+        Steps to forecast, which may lie between those of the observed places.
     """
     place, velocity = _filtered(np.asarray(places, float))
     ahead = np.asarray(steps, float)

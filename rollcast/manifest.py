@@ -50,6 +50,9 @@ REFINER_OUTPUTS = ("offsets", "log_radius", "visible", "log_sigmas", "features")
 BALL_INPUTS = ("places", "radii", "log_sigmas", "features")
 """What the encoder's graph reads of every ball, [B, N, ...], and of the whole frames:"""
 SCENE_INPUTS = ("ground", "scene")
+SPACING_INPUT = "spacing"
+"""Time between two seen frames [B], in steps of the rollout, which the encoder's graph reads too.
+"""
 NEXT_PREFIX = "next_"
 """The step graph reads the state as NAME and returns it as next_NAME."""
 
@@ -216,6 +219,9 @@ class Manifest(_Part):
     final_step: Annotated[int, Field(ge=1)] | None = None
     """Step that the final frame shows; None with 4 frames."""
     frame_rate_hz: Positive
+    """Rate of the steps, and of the frames unless ``frame_rates_hz`` says otherwise."""
+    frame_rates_hz: tuple[Positive, Positive] | None = None
+    """Lowest and highest rate of frames whose spacing the encoder reads."""
     frame_size: Literal[128]
     trained_horizon: Annotated[int, Field(ge=1)]
     state: Annotated[tuple[StateTensor, ...], Field(min_length=1)]

@@ -65,7 +65,7 @@ class ForecastPath(TruePath, Protocol):
         ...
 
     @property
-    def frame_rate(self) -> float:
+    def step_rate(self) -> float:
         """Steps a second."""
         ...
 
@@ -105,7 +105,7 @@ def draw_forecast(
         When a frame is more than half a step later than the forecast's last step.
     """
     end_s = float(forecast.times_s[-1])
-    if times_s[-1] > end_s + STEP_TOLERANCE / forecast.frame_rate:
+    if times_s[-1] > end_s + STEP_TOLERANCE / forecast.step_rate:
         raise ValueError(f"a frame of {times_s[-1]:.3f} s, the forecast ends at {end_s:.3f} s")
     return _sheet(
         frames, times_s, forecast, f"last frame seen, forecast to +{end_s:.2f} s", forecast, rings

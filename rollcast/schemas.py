@@ -215,8 +215,10 @@ class PredictRequest(RequestBody):
     """Narrows the choice to models made for this scenario, or for footage of a set-up of one's
     own."""
     frame_rate: FrameRate | None = None
-    """Frames a second of the observed frames, by default as many as the model was trained on; the
-    forecast's steps are as far apart."""
+    """Frames a second of the observed frames, by default as many as the model was trained on."""
+    step_rate: FrameRate | None = None
+    """Steps a second of the forecast, by default ``frame_rate``: steps between those of the model
+    are interpolated."""
 
 
 class SessionRequest(RequestBody):
@@ -233,6 +235,8 @@ class SessionRequest(RequestBody):
     own."""
     frame_rate: FrameRate | None = None
     """Frames a second that are sent, by default as many as the model was trained on."""
+    step_rate: FrameRate | None = None
+    """Steps a second of the forecasts, by default ``frame_rate``."""
 
 
 class ModelReference(ResponseBody):
@@ -346,6 +350,9 @@ class ForecastSummary(_ForecastOutputs):
     frame_size: Size
     """Width and height of the frames that were sent: the unit of every position."""
     frame_rate: float
+    """Frames a second of the observed frames."""
+    step_rate: float
+    """Steps a second of the forecast."""
     warnings: list[str]
     timing_ms: PredictTiming
 
@@ -564,7 +571,11 @@ class ModelEntry(ResponseBody):
     """Most balls of a model for any number of balls, which takes prompts and frames of any
     rectangle; None where ``objects`` is fixed."""
     frame_rate_hz: float | None = None
-    """Frames a second of what it was trained on."""
+    """Steps a second, and frames a second of what it was trained on unless ``frame_rates_hz`` is
+    given."""
+    frame_rates_hz: tuple[float, float] | None = None
+    """Lowest and highest ``frame_rate`` that it takes into account; None where it assumes
+    ``frame_rate_hz``."""
     setup: ModelSetup | None = None
     """The set-up that it was trained on, where its scenarios are ``footage``."""
     frames: int | None = None

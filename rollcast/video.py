@@ -94,6 +94,7 @@ def read_frames(
     frames: int = OBSERVED_FRAMES,
     crop: PictureCrop | None = None,
     frame_rate: float = FRAME_RATE_HZ,
+    told_rates: tuple[float, float] | None = None,
     camera_hz: float | None = None,
 ) -> Footage:
     """Read frames that follow each other evenly (``rollcast.footage.read_evenly``).
@@ -102,7 +103,7 @@ def read_frames(
     ----------
     path
         Any video that PyAV decodes.
-    start_s, frames, crop, frame_rate
+    start_s, frames, crop, frame_rate, told_rates
         As for ``rollcast.footage.read_evenly``.
     camera_hz
         As for :class:`VideoFile`.
@@ -120,6 +121,7 @@ def read_frames(
         frames=frames,
         crop=crop,
         frame_rate=frame_rate,
+        told_rates=told_rates,
     )
 
 

@@ -95,6 +95,7 @@ class AsyncClient:
         balls: BallPoints | None = None,
         scenario: Domain | None = None,
         frame_rate: float | None = None,
+        step_rate: float | None = None,
         crop: Crop | None = None,
         start_s: float | None = None,
     ) -> Forecast:
@@ -126,6 +127,8 @@ class AsyncClient:
             one's own.
         frame_rate
             Frames a second; by default the rate that the model was trained on.
+        step_rate
+            Steps a second of the forecast; by default ``frame_rate``.
         crop
             "square" cuts the largest square out of the middle of every frame; positions are then
             pixels of that square. Videos are sent whole with ``balls`` or to a named model for any
@@ -150,6 +153,7 @@ class AsyncClient:
             balls=balls,
             scenario=scenario,
             frame_rate=frame_rate,
+            step_rate=step_rate,
             crop=crop,
             start_s=start_s,
         )
@@ -182,6 +186,7 @@ class AsyncClient:
         num_objects: Integer | None = None,
         scenario: Domain | None = None,
         frame_rate: float | None = None,
+        step_rate: float | None = None,
         crop: Crop | None = None,
     ) -> AsyncSession:
         """Open a session for a loop: one frame a tick is sent, the service keeps the last four.
@@ -191,7 +196,7 @@ class AsyncClient:
 
         Parameters
         ----------
-        horizon, model, num_objects, scenario, frame_rate, crop
+        horizon, model, num_objects, scenario, frame_rate, step_rate, crop
             As for ``predict``, for all forecasts of the session.
 
         Raises
@@ -212,6 +217,7 @@ class AsyncClient:
             num_objects=num_objects,
             scenario=scenario,
             frame_rate=frame_rate,
+            step_rate=step_rate,
         )
         return AsyncSession(
             self._target,
@@ -422,8 +428,8 @@ class AsyncClient:
         if not is_clip(frames):
             return await to_thread(make, frames, final_frame, options)
         name = named_model(options)
-        known = None if name is None else await self.model(*name)
-        seen, rest, warnings = await to_thread(read_clip, frames, options, known)
+        models = await self.models() if name is None else [await self.model(*name)]
+        seen, rest, warnings = await to_thread(read_clip, frames, options, models)
         return await to_thread(make, seen, final_frame, rest, warnings)
 
     async def _run(self, call: Call[T]) -> T:

@@ -61,6 +61,8 @@ class ForecastOptions(TypedDict, total=False):
     """Domain that narrows the choice of "auto"."""
     frame_rate: float | None
     """Frames a second."""
+    step_rate: float | None
+    """Steps a second."""
     crop: Crop | None
     """Crop of every frame: "square" cuts the largest square out of the middle."""
     start_s: float | None
@@ -215,14 +217,13 @@ def _forecast_call(
     horizon, number = _whole("horizon", options), _whole("num_objects", options)
     balls = options.get("balls")
     prompts = None if balls is None else prompts_of(balls)
-    rate = options.get("frame_rate")
     fields = {
         "model": options.get("model"),
         "horizon": horizon,
         "num_objects": number,
         "balls": None if prompts is None else json.dumps([dict(prompt) for prompt in prompts]),
         "scenario": options.get("scenario"),
-        "frame_rate": None if rate is None else _number("frame_rate", rate),
+        **_rates(options),
     }
     pictures = each(frames)
     files: list[Part] = [
@@ -247,16 +248,20 @@ def _forecast_call(
     return call
 
 
+def _rates(options: ForecastOptions) -> dict[str, float | None]:
+    rates = {"frame_rate": options.get("frame_rate"), "step_rate": options.get("step_rate")}
+    return {name: None if rate is None else _number(name, rate) for name, rate in rates.items()}
+
+
 def session(options: ForecastOptions) -> Call[Forecast]:
     """Describe the options of a session, and read its forecasts (``rollcast.client.sessions``)."""
     horizon, number = _whole("horizon", options), _whole("num_objects", options)
-    rate = options.get("frame_rate")
     fields = {
         "model": options.get("model"),
         "horizon": horizon,
         "num_objects": number,
         "scenario": options.get("scenario"),
-        "frame_rate": None if rate is None else _number("frame_rate", rate),
+        **_rates(options),
     }
     return Call(
         "GET",

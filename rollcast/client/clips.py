@@ -1,5 +1,6 @@
 """Four frames of a video, as the client sends them (extra ``video``)."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias, TypeGuard
 
@@ -8,7 +9,7 @@ from rollcast.client.images import Frames
 from rollcast.client.prompts import moved, prompts_of
 from rollcast.errors import MissingExtraError
 from rollcast.footage import Footage, SquareCrop, WholePicture
-from rollcast.schemas import AUTO_MODEL, ModelDetail, ModelEntry
+from rollcast.schemas import AUTO_MODEL, ModelEntry
 from rollcast.trajectory import FRAME_RATE_HZ
 
 Clip: TypeAlias = Path | str
@@ -29,7 +30,7 @@ def named_model(options: ForecastOptions) -> tuple[str, int | None] | None:
 
 
 def read_clip(
-    clip: Clip, options: ForecastOptions, model: ModelDetail | None
+    clip: Clip, options: ForecastOptions, models: Sequence[ModelEntry]
 ) -> tuple[Frames, ForecastOptions, tuple[str, ...]]:
     """Read four frames at the rate and crop of a model.
 
@@ -39,8 +40,8 @@ def read_clip(
         Video file.
     options
         Options of the forecast: ``start_s`` and ``frame_rate`` say which frames are read.
-    model
-        The requested model, whose frame rate and crop are used; None for "auto".
+    models
+        The requested model, whose frame rate and crop are used; all of the service for "auto".
 
     Returns
     -------
@@ -58,15 +59,25 @@ def read_clip(
         from rollcast.video import read_frames
     except ModuleNotFoundError as error:
         raise MissingExtraError("videos need", "PyAV", "video") from error
-    rate = options.get("frame_rate") or (model and model.frame_rate_hz) or FRAME_RATE_HZ
+    model = None if named_model(options) is None else models[0]
+    asked = options.get("frame_rate")
+    rate = asked or (model and model.frame_rate_hz) or FRAME_RATE_HZ
+    told = told_rates(models) if asked is None else None
     balls = options.get("balls")
     whole = (balls is not None or takes_any(model)) and options.get("crop") is None
     crop = WholePicture() if whole else setup_crop(model)
-    seen = read_frames(clip, start_s=options.get("start_s") or 0.0, crop=crop, frame_rate=rate)
+    start_s = options.get("start_s") or 0.0
+    seen = read_frames(clip, start_s=start_s, crop=crop, frame_rate=rate, told_rates=told)
     rest = options | ForecastOptions(frame_rate=seen.frame_rate, start_s=None, crop=None)
     if balls is not None:
         rest["balls"] = moved(prompts_of(balls), seen.crop)
     return seen.frames, rest, blend_warnings(seen, rate)
+
+
+def told_rates(models: Sequence[ModelEntry]) -> tuple[float, float] | None:
+    """Return the rates of frames that one of some models is told, None if none is told them."""
+    known = (model for model in models if model.status == "ready" and model.default)
+    return next((model.frame_rates_hz for model in known if model.frame_rates_hz), None)
 
 
 def takes_any(model: ModelEntry | None) -> bool:

@@ -87,7 +87,7 @@ def typed(
     """Return a request's body with the types of the schema; forms send numbers as text."""
     if not frames:
         return dict(fields)
-    numbers = {"horizon": int, "num_objects": int, "frame_rate": float}
+    numbers = {"horizon": int, "num_objects": int, "frame_rate": float, "step_rate": float}
     numbers |= {"min_score": float, "refine_still": "true".__eq__}
     values: dict[str, Any] = {name: numbers.get(name, str)(value) for name, value in fields.items()}
     return {**values, "frames": list(frames), "final_frame": final_frame}
@@ -113,11 +113,12 @@ def forecast(
         raise RefusalError(
             _wrong("num_objects", wish.num_objects, f"{objects}, the number of balls")
         )
+    rate = wish.frame_rate or FRAME_RATE_HZ
+    step_rate = wish.step_rate or rate
     if positions is None:
-        horizon = wish.horizon or DEFAULT_HORIZON
-        indices = FIRST_FORECAST_FRAME + np.arange(horizon)
+        ahead = np.arange(wish.horizon or DEFAULT_HORIZON) * (rate / step_rate)
         starts = _starts(wish.balls, objects or 1, side)
-        positions = starts[:, None] + (indices - FIRST_FORECAST_FRAME)[:, None] * side * VELOCITY
+        positions = starts[:, None] + ahead[:, None] * side * VELOCITY
     horizon = wish.horizon or positions.shape[1]
     if horizon > positions.shape[1]:
         raise RefusalError(
@@ -125,11 +126,11 @@ def forecast(
         )
     if objects not in (None, len(positions)):
         raise RefusalError(_wrong("num_objects", objects, f"{len(positions)}, as many as given"))
-    rate = wish.frame_rate or FRAME_RATE_HZ
     return PredictResponse(
         model=ModelReference(name=NAME, version=1, variant=NAME, trained_horizon=TRAINED_HORIZON),
         frame_size=size,
         frame_rate=rate,
+        step_rate=step_rate,
         objects=[
             ForecastObject(
                 id=ball,
@@ -141,7 +142,7 @@ def forecast(
             )
             for ball, path in enumerate(positions)
         ],
-        times_s=[step / rate for step in range(horizon)],
+        times_s=[step / step_rate for step in range(horizon)],
         ellipse50_radii=[GAUSSIAN_ELLIPSE50_RADIUS] * horizon,
         **_made_ends(wish, positions[:, horizon - 1]),
         warnings=[f"The horizon of {horizon} steps exceeds the {TRAINED_HORIZON} trained ones."]

@@ -38,7 +38,7 @@ def save(
     elif suffix in PICTURES:
         pictures.forecast(forecast, frames, times_s, crop).save(path)
     elif suffix in VIDEOS:
-        write_film(path, pictures.film(forecast, frames, times_s, crop), forecast.frame_rate)
+        write_film(path, pictures.film(forecast, frames, times_s, crop), forecast.step_rate)
     else:
         known = ", ".join((*PICTURES, *VIDEOS, *TEXTS))
         raise ValueError(f"{path} ends in {suffix!r}, expected one of {known}")
@@ -49,7 +49,7 @@ def forecast_json(forecast: "Forecast") -> str:
     body = {
         **{
             name: getattr(forecast, name)
-            for name in ("model", "frame_size", "frame_rate", "warnings", "timing_ms")
+            for name in ("model", "frame_size", "frame_rate", "step_rate", "warnings", "timing_ms")
         },
         "objects": [
             ForecastObject.model_validate(

@@ -28,7 +28,7 @@ def forecast(
 ) -> Image.Image:
     """Draw a forecast as ``Forecast.plot`` describes."""
     frames, times_s = _timed(forecast, frames, times_s)
-    end_s = forecast.times_s[-1] + STEP_TOLERANCE / forecast.frame_rate
+    end_s = forecast.times_s[-1] + STEP_TOLERANCE / forecast.step_rate
     shown = _spread(sum(time_s <= end_s for time_s in times_s), panels)
     drawn = [_fitting(forecast, frames, index, crop) for index in shown]
     return draw_forecast(
@@ -44,7 +44,7 @@ def film(
 ) -> Iterator[Image.Image]:
     """Draw every step of a forecast over the latest frame that is not after it."""
     frames, times_s = _timed(forecast, frames, times_s)
-    tolerance_s = STEP_TOLERANCE / forecast.frame_rate
+    tolerance_s = STEP_TOLERANCE / forecast.step_rate
     latest, frame = 0, _fitting(forecast, frames, 0, crop)
     for time_s in forecast.times_s.tolist():
         index = sum(taken_s <= time_s + tolerance_s for taken_s in times_s) - 1

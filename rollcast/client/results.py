@@ -176,6 +176,8 @@ class Forecast:
     """Width and height of the frames, pixels."""
     frame_rate: float
     """Frames a second."""
+    step_rate: float
+    """Steps a second."""
     warnings: tuple[str, ...]
     """Reasons to trust the forecast less."""
     timing_ms: PredictTiming
@@ -306,7 +308,8 @@ class Forecast:
         shape = (len(balls), len(times_s))
         require(len(times_s) > 0, "there are no steps")
         require(min(response.frame_size) > 0, f"frame_size is {response.frame_size}")
-        require(response.frame_rate > 0, f"frame_rate is {response.frame_rate}")
+        for name, rate in (("frame_rate", response.frame_rate), ("step_rate", response.step_rate)):
+            require(rate > 0, f"{name} is {rate}")
         source = balls[0].covariance_source
         require(
             all(ball.covariance_source == source for ball in balls), "covariance_source differs"
@@ -332,6 +335,7 @@ class Forecast:
             model=response.model,
             frame_size=response.frame_size,
             frame_rate=response.frame_rate,
+            step_rate=response.step_rate,
             warnings=tuple(response.warnings),
             timing_ms=response.timing_ms,
         )

@@ -97,6 +97,7 @@ class Client:
         balls: BallPoints | None = None,
         scenario: Domain | None = None,
         frame_rate: float | None = None,
+        step_rate: float | None = None,
         crop: Crop | None = None,
         start_s: float | None = None,
     ) -> Forecast:
@@ -128,6 +129,8 @@ class Client:
             one's own.
         frame_rate
             Frames a second; by default the rate that the model was trained on.
+        step_rate
+            Steps a second of the forecast; by default ``frame_rate``.
         crop
             "square" cuts the largest square out of the middle of every frame; positions are then
             pixels of that square. Videos are sent whole with ``balls`` or to a named model for any
@@ -152,6 +155,7 @@ class Client:
             balls=balls,
             scenario=scenario,
             frame_rate=frame_rate,
+            step_rate=step_rate,
             crop=crop,
             start_s=start_s,
         )
@@ -184,6 +188,7 @@ class Client:
         num_objects: Integer | None = None,
         scenario: Domain | None = None,
         frame_rate: float | None = None,
+        step_rate: float | None = None,
         crop: Crop | None = None,
     ) -> Session:
         """Open a session for a loop: one frame a tick is sent, the service keeps the last four.
@@ -193,7 +198,7 @@ class Client:
 
         Parameters
         ----------
-        horizon, model, num_objects, scenario, frame_rate, crop
+        horizon, model, num_objects, scenario, frame_rate, step_rate, crop
             As for ``predict``, for all forecasts of the session.
 
         Raises
@@ -214,6 +219,7 @@ class Client:
             num_objects=num_objects,
             scenario=scenario,
             frame_rate=frame_rate,
+            step_rate=step_rate,
         )
         return Session(
             self._target,
@@ -424,8 +430,8 @@ class Client:
         if not is_clip(frames):
             return to_thread(make, frames, final_frame, options)
         name = named_model(options)
-        known = None if name is None else self.model(*name)
-        seen, rest, warnings = to_thread(read_clip, frames, options, known)
+        models = self.models() if name is None else [self.model(*name)]
+        seen, rest, warnings = to_thread(read_clip, frames, options, models)
         return to_thread(make, seen, final_frame, rest, warnings)
 
     def _run(self, call: Call[T]) -> T:

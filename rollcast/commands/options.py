@@ -77,9 +77,10 @@ def _seconds(text: str) -> float:
     return float(text)
 
 
-def _rate(text: str) -> float:
+def positive_rate(text: str) -> float:
+    """Parse a number of frames or steps a second."""
     if not re.fullmatch(r"[0-9]+(\.[0-9]*)?|\.[0-9]+", text) or not 0 < float(text) <= 100_000:
-        raise typer.BadParameter(f"{text} is not a frame rate in Hz")
+        raise typer.BadParameter(f"{text} is not a rate in Hz")
     return float(text)
 
 
@@ -160,7 +161,7 @@ Every: TypeAlias = Annotated[
 Rate: TypeAlias = Annotated[
     float | None,
     typer.Option(
-        parser=_rate,
+        parser=positive_rate,
         metavar="HZ",
         help=f"frame rate of the camera in Hz, for images (default: {FRAME_RATE_HZ}), elementary "
         "streams, which do not state it, and slow motion, which is stored at a lower rate",

@@ -30,7 +30,7 @@ def draw(
     if path.suffix.lower() in FILMS:
         steps = len(observed.frames) - 1 + len(forecast.times_s)
         moments = counted(_moments(observed, later_frames, forecast), steps, "drawing")
-        write_film(path, moments, forecast.frame_rate / slower)
+        write_film(path, moments, forecast.step_rate / slower)
     else:
         _picture(observed, later_frames, forecast).save(path)
 
@@ -62,7 +62,7 @@ def _moments(
         shown = _shown(later_frames, [now_s + time_s for time_s in times_s])
         for time_s in times_s:
             title = f"+{time_s:.2f} s"
-            frame = _frame_at(shown, now_s + time_s, STEP_TOLERANCE / forecast.frame_rate)
+            frame = _frame_at(shown, now_s + time_s, STEP_TOLERANCE / forecast.step_rate)
             if frame is None:
                 title += ", the footage has ended"
             else:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from rollcast.client import Client
-from rollcast.client.clips import blend_warnings, setup_crop, takes_any
+from rollcast.client.clips import blend_warnings, setup_crop, takes_any, told_rates
 from rollcast.client.prompts import moved
 from rollcast.commands.options import (
     Balls,
@@ -21,15 +21,16 @@ from rollcast.commands.options import (
     Start,
     Url,
     client,
+    positive_rate,
     whole_number,
 )
 from rollcast.commands.overlay import draw
 from rollcast.commands.printing import ball_warnings, forecast_text
 from rollcast.commands.progress import waiting
 from rollcast.commands.reading import frame_of_step, read
-from rollcast.footage import PictureCrop, WholePicture
+from rollcast.footage import WholePicture
 from rollcast.scene import MAX_BALLS, Domain
-from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON
+from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON, ModelEntry
 from rollcast.trajectory import FRAME_RATE_HZ
 
 HELP = """\
@@ -84,6 +85,14 @@ def predict(
             show_default=False,
         ),
     ] = None,
+    step_rate: Annotated[
+        float | None,
+        typer.Option(
+            parser=positive_rate,
+            metavar="HZ",
+            help="steps of the forecast per second (default: the frame rate)",
+        ),
+    ] = None,
     model: Annotated[
         str, typer.Option(metavar="NAME", help="auto, NAME or NAME@VERSION")
     ] = AUTO_MODEL,
@@ -109,8 +118,12 @@ def predict(
     if horizon is None:
         horizon = DEFAULT_HORIZON if final is None else final + 1
     with client(context, url) as service, waiting("waiting for the service"):
-        known_rate, known_crop = _known(service, model, prompted=bool(ball))
-        observed, later_frames = read(footage, start, every, rate, crop or known_crop, known_rate)
+        known, models = _known(service, model)
+        known_rate = (known and known.frame_rate_hz) or FRAME_RATE_HZ
+        known_crop = WholePicture() if ball or takes_any(known) else setup_crop(known)
+        told = told_rates(models) if final is None else None
+        part = crop or known_crop
+        observed, later_frames = read(footage, start, every, rate, part, known_rate, told)
         final_frame = None if final is None else frame_of_step(final, observed, later_frames)
         forecast = service.predict(
             list(observed.frames),
@@ -121,6 +134,7 @@ def predict(
             balls=moved(ball, observed.crop) if ball else None,
             scenario=scenario,
             frame_rate=observed.frame_rate,
+            step_rate=step_rate,
         )
     warnings = [
         *blend_warnings(observed, known_rate),
@@ -133,12 +147,10 @@ def predict(
     return Outcome(text, warnings if form == "csv" else (), finish=drawing)
 
 
-def _known(service: Client, model: str, *, prompted: bool) -> tuple[float, PictureCrop | None]:
-    """Return the frame rate of a model and the part of pictures that it reads."""
+def _known(service: Client, model: str) -> tuple[ModelEntry | None, list[ModelEntry]]:
+    """Return a model, None for "auto", and the models that may answer."""
+    if model == AUTO_MODEL:
+        return None, service.models()
     name, _, version = model.partition("@")
-    known = None
-    if model != AUTO_MODEL:
-        known = service.model(name, int(version) if version.isdecimal() else None)
-    rate = known and known.frame_rate_hz
-    crop = WholePicture() if prompted or takes_any(known) else setup_crop(known)
-    return rate or FRAME_RATE_HZ, crop
+    known = service.model(name, int(version) if version.isdecimal() else None)
+    return known, [known]

@@ -39,6 +39,7 @@ def forecast_text(
         {
             "model": model,
             "frame_rate": forecast.frame_rate,
+            "step_rate": forecast.step_rate,
             "crop": asdict(crop) if isinstance(crop, SquareCrop) else None,
             "observed_times_s": observed.times_s.tolist(),
             "times_s": forecast.times_s.tolist(),

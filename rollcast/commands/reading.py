@@ -30,6 +30,7 @@ def read(
     rate: float | None,
     crop: PictureCrop | None,
     wanted_rate: float = FRAME_RATE_HZ,
+    told_rates: tuple[float, float] | None = None,
 ) -> tuple[Footage, LaterFrames]:
     """Return the observed frames and what reads later ones, both by one resampler.
 
@@ -37,6 +38,8 @@ def read(
     ----------
     wanted_rate
         Frame rate of the model, in Hz.
+    told_rates
+        As for :func:`rollcast.footage.read_evenly`.
 
     Raises
     ------
@@ -58,7 +61,7 @@ def read(
         wanted_rate = rate_near(source, start_s or 0.0) / every
         observed = read_evenly(source, start_s=start_s or 0.0, crop=crop, frame_rate=wanted_rate)
     else:
-        observed = _observed(source, start_s or 0.0, crop, wanted_rate)
+        observed = _observed(source, start_s or 0.0, crop, wanted_rate, told_rates)
 
     def later_frames(times_s: Sequence[float]) -> Footage:
         return read_at(source, times_s, crop=crop, frame_rate=observed.frame_rate)
@@ -85,11 +88,17 @@ def frame_of_step(step: int, observed: Footage, later_frames: LaterFrames) -> np
 
 
 def _observed(
-    source: FrameSource, start_s: float, crop: PictureCrop | None, wanted_rate: float
+    source: FrameSource,
+    start_s: float,
+    crop: PictureCrop | None,
+    wanted_rate: float,
+    told_rates: tuple[float, float] | None,
 ) -> Footage:
     """Return four frames at the model's rate if the images allow it."""
     try:
-        return read_evenly(source, start_s=start_s, crop=crop, frame_rate=wanted_rate)
+        return read_evenly(
+            source, start_s=start_s, crop=crop, frame_rate=wanted_rate, told_rates=told_rates
+        )
     except FootageEndedError:
         if not isinstance(source, ImageSequence) or source.rate <= wanted_rate:
             raise

@@ -1,12 +1,13 @@
 """Balls that were found or asked for, between a request's pixels and a model's square."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from rollcast.camera import NETWORK_FRAME_SIZE
-from rollcast.kinematics import kinematic_forecast, mean_slopes
+from rollcast.kinematics import KinematicForecast, kinematic_forecast, mean_slopes
 from rollcast.patches import Letterbox
 from rollcast.scene import BallColor
 from rollcast.schemas import BallPrompt, SeenBall
@@ -21,7 +22,7 @@ DOUBTFUL_RADII = 0.5
 
 
 LEVEL_STEPS = 20
-"""Steps of a ball's path under which the ground has to be level."""
+"""Steps of the model over which the ground under a ball's path has to be level."""
 HALF = NETWORK_FRAME_SIZE / 2
 
 
@@ -38,8 +39,8 @@ class RequestBalls:
         Points of the last frame, or None.
     objects
         Number of balls, or None.
-    horizon
-        Steps of the forecast.
+    spacing
+        Time between two frames, in steps of the model.
 
     Raises
     ------
@@ -53,22 +54,18 @@ class RequestBalls:
         frames: UInt8[np.ndarray, "4 height width 3"],
         prompts: Sequence[BallPrompt] | None,
         objects: int | None,
-        horizon: int,
+        spacing: float,
     ) -> None:
         self.box = Letterbox(*frames.shape[1:3])
         points, radii = (None, None) if prompts is None else _points(prompts, self.box)
-        self.found: FoundBalls = model.find(frames, points, radii, objects)
+        self.found: FoundBalls = model.find(frames, points, radii, objects, spacing)
         self._last = frames[-1]
         source = model.manifest.kinematic
         assert source is not None
         self._level_slope = source.level_slope
-        balls = self.found.balls
-        self._path = kinematic_forecast(
-            HALF + HALF * balls.places,
-            HALF * np.exp(balls.log_sigmas),
-            source.acceleration_ratio,
-            np.arange(max(horizon, LEVEL_STEPS)),
-        )
+        self._level_steps = math.ceil(LEVEL_STEPS / spacing)
+        # Changes of velocity are random: their variances add up.
+        self._acceleration_ratio = source.acceleration_ratio * math.sqrt(spacing)
 
     @property
     def count(self) -> int:
@@ -81,22 +78,35 @@ class RequestBalls:
         side = self.box.side
         return (side - self.box.width) / 2, (side - self.box.height) / 2
 
-    def kinematic(self, network: Forecast, first_step: int) -> Forecast:
+    def kinematic(self, network: Forecast, first_step: int, spacing: float) -> Forecast:
         """Return the kinematic forecast of the steps of the network's, pixels of 128.
 
         Like the network's, its errors are heavy-tailed: the covariances hold 95 % of them, and the
         network's radius, smaller than a Gaussian's, half.
+
+        Parameters
+        ----------
+        spacing
+            Time between two steps, in frames.
         """
-        steps = slice(first_step, first_step + network.positions.shape[2])
+        count = network.positions.shape[2]
+        steps = np.arange(first_step, first_step + count, dtype=np.float64)
+        path = self._path(spacing * steps)
         return network.having(
-            positions=self._path.positions[None, :, steps].astype(np.float32),
-            covariances=self._path.covariances[None, :, steps].astype(np.float32),
+            positions=path.positions[None].astype(np.float32),
+            covariances=path.covariances[None].astype(np.float32),
         )
+
+    def _path(self, steps: Float[np.ndarray, " T"]) -> KinematicForecast:
+        """Balls that go on as they went, at times in frames after the last one."""
+        balls = self.found.balls
+        places, sigmas = HALF + HALF * balls.places, HALF * np.exp(balls.log_sigmas)
+        return kinematic_forecast(places, sigmas, self._acceleration_ratio, steps)
 
     @property
     def on_level_ground(self) -> list[bool]:
         """True for balls whose kinematic path lies on level ground, according to the model."""
-        paths = self._path.positions[:, :LEVEL_STEPS] / HALF - 1
+        paths = self._path(np.arange(self._level_steps)).positions / HALF - 1
         slopes = mean_slopes(self.found.said["ground"][0], paths)
         return (slopes < self._level_slope).tolist()
 

@@ -1,5 +1,6 @@
 """One prediction request answered, whole or step by step: decode, choose, roll out, report."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -15,6 +16,7 @@ from rollcast.scene import BallColor
 from rollcast.schemas import (
     AUTO_MODEL,
     DEFAULT_HORIZON,
+    MAX_HORIZON,
     AlternativeForecast,
     ForecastObject,
     ForecastSummary,
@@ -36,10 +38,14 @@ from service.inference.ball_predictor import BallPredictor
 from service.inference.deadlines import CancellationToken
 from service.inference.rollout import CovarianceFloor, Forecast, Predictor, assemble, place_sigmas
 from service.inference.scheduler import DecodedRequest, Decoding
+from service.inference.step_times import StepTimes, frame_spacing
 from service.observability.metrics import Metrics
 from service.observability.tracing import Stages
 from service.serving.forecast_warnings import doubts, left_frame, lost_ball, replaced, unfamiliar
 from service.serving.registry import ModelQuery, Registry
+
+LONGEST_ROLLOUT = 4 * MAX_HORIZON
+"""Most steps of a model in one forecast, whose own steps may be longer."""
 
 
 class BallDetails(NamedTuple):
@@ -54,7 +60,7 @@ class BallDetails(NamedTuple):
     motion: Motion = "network"
 
 
-class _Forecast:
+class _Forecast(ABC):
     """One request: its model, its frames, and the times of its stages.
 
     Parameters
@@ -82,13 +88,17 @@ class _Forecast:
         self._size = (0, 0)
         self._balls: RequestBalls | None = None
         self._details: list[BallDetails] = []
+        self._times = StepTimes(1.0, 1)
         self._number: int | None = None
         """Balls that the request names or prompts."""
         self._floor: CovarianceFloor | None = None
         self._left: dict[int, int] = {}
         """Step at which a ball leaves the frame, by its id."""
         self._rate = 0.0
+        self._step_rate = 0.0
         self._horizon = 0
+        self._spacing = 1.0
+        """Time between two frames, in the model's steps."""
         self._doubts: list[str] = []
         self._limits: list[str] = []
         """Warnings of the model that forecasts."""
@@ -121,11 +131,13 @@ class _Forecast:
             prompted,
             square=square,
             horizon=request.horizon or DEFAULT_HORIZON,
+            frame_rate=request.frame_rate,
         )
         predictor = self._registry.choose(query)
         self.manifest = predictor.manifest
         self._horizon = _horizon(request, predictor.manifest)
         self._rate = request.frame_rate or predictor.manifest.frame_rate_hz
+        self._step_rate = request.step_rate or self._rate
         if not isinstance(predictor, BallPredictor):
             opened.require_squares()
 
@@ -136,6 +148,8 @@ class _Forecast:
 
     def _decoded(self, predictor: Predictor, opened: OpenedFrames) -> DecodedRequest:
         """Decode frames for a model; another one may replace it."""
+        self._spacing = frame_spacing(predictor.manifest, self._rate)
+        self._times = self._step_times()
         if isinstance(predictor, BallPredictor):
             return self._with_balls(predictor, opened)
         self._size = (opened.side, opened.side)
@@ -150,7 +164,26 @@ class _Forecast:
         colors = predictor.manifest.colors
         self._details = [BallDetails(ball, color, source) for ball, color in enumerate(colors)]
         self._stages.begin("encode")
-        return DecodedRequest(predictor, frames[None], self._horizon)
+        return DecodedRequest(predictor, frames[None], self._times.rollout_horizon)
+
+    def _step_times(self) -> StepTimes:
+        """Return the times of the forecast's steps in the model's.
+
+        Raises
+        ------
+        InvalidValueError
+            When they do not suit the model.
+        """
+        times = StepTimes(self._spacing * self._rate / self._step_rate, self._horizon)
+        fixed = self.manifest.final_step
+        if fixed is not None and self._step_rate != self._rate:
+            expected = f"{self._rate:g}, the frames a second: the final frame shows step {fixed}"
+            raise InvalidValueError.at("step_rate", self._step_rate, expected)
+        if times.rollout_horizon > LONGEST_ROLLOUT:
+            most = 1 + int((LONGEST_ROLLOUT - 1) / times.spacing)
+            expected = f"at most {most}, so few steps a second"
+            raise InvalidValueError.at("horizon", self._horizon, expected)
+        return times
 
     def _replacement(self, reasons: Iterable[str] = ()) -> Predictor | None:
         """Replace a choice of "auto" by the model for unfamiliar frames, if one is served."""
@@ -183,7 +216,7 @@ class _Forecast:
         self._stages.begin("encode")
         self._size = (frames.shape[2], frames.shape[1])
         self._balls = balls = RequestBalls(
-            predictor, frames, request.balls, self._number, self._horizon
+            predictor, frames, request.balls, self._number, self._spacing
         )
         seen = frame_stats(balls.found.said["square"])
         self._limits = doubts(predictor, self._horizon, self._rate, seen)
@@ -196,15 +229,29 @@ class _Forecast:
             )
             for ball, (color, score, seen, warnings, level) in enumerate(told)
         ]
-        return DecodedRequest(predictor.rollout(balls.count), balls.found.packed, self._horizon)
+        return DecodedRequest(
+            predictor.rollout(balls.count), balls.found.packed, self._times.rollout_horizon
+        )
 
     def step(self, index: int, outputs: Outputs) -> Decoding | None:
-        """Judge by the first step whether the balls were found; another model may begin anew."""
+        """Take a step of the model; by the first one, another model may begin anew.
+
+        Raises
+        ------
+        service.errors.DivergedError
+            When a number is not finite.
+        """
         if index == 0:
             if (instead := self._if_lost(outputs)) is not None:
                 return instead
             self._stages.begin("rollout")
+        for made in self._times.add(outputs):
+            self._take(made)
         return None
+
+    @abstractmethod
+    def _take(self, outputs: Outputs) -> None:
+        """Take the next step of the forecast."""
 
     def _if_lost(self, outputs: Outputs) -> Decoding | None:
         """Warn of balls that were not found; let the model for unfamiliar frames look for them."""
@@ -233,11 +280,14 @@ class _Forecast:
         covariance = self.manifest.covariance
         if self._floor is None:
             calibrated = covariance.empirical or covariance.variance_scale or ()
-            self._floor = CovarianceFloor(len(calibrated) or self.manifest.trained_horizon)
-        network = self._floor.apply(assemble(outputs, covariance, first_step), first_step)
+            last = (len(calibrated) or self.manifest.trained_horizon) - 1
+            self._floor = CovarianceFloor(1 + int(last / self._times.spacing))
+        made = assemble(outputs, covariance, first_step, self._times.spacing)
+        network = self._floor.apply(made, first_step)
         if self._balls is None:
             return network, None
-        kinematic = self._balls.kinematic(network, first_step)
+        in_frames = self._rate / self._step_rate
+        kinematic = self._balls.kinematic(network, first_step, in_frames)
         by_kinematics = np.array([ball.motion == "kinematic" for ball in self._details])
         return network.mixed(kinematic, by_kinematics), kinematic.mixed(network, by_kinematics)
 
@@ -245,7 +295,7 @@ class _Forecast:
         """Return a forecast in the units of the user's frames."""
         units = Units(
             max(self._size) / NETWORK_FRAME_SIZE,
-            self._rate / self.manifest.frame_rate_hz,
+            self._rate * self._spacing / self.manifest.frame_rate_hz,
             (0.0, 0.0) if self._balls is None else self._balls.origin,
         )
         return made.within_frame().rescaled(units)
@@ -286,6 +336,7 @@ class _Forecast:
             ),
             frame_size=self._size,
             frame_rate=self._rate,
+            step_rate=self._step_rate,
             **ends,
             warnings=[*self._limits, *self._doubts],
             timing_ms=taken,
@@ -305,12 +356,8 @@ class WholeForecast(_Forecast):
         super().__init__(parse, token, registry, metrics)
         self._steps: list[Outputs] = []
 
-    def step(self, index: int, outputs: Outputs) -> Decoding | None:
-        """Keep a step's outputs."""
-        instead = super().step(index, outputs)
-        if instead is None:
-            self._steps.append(outputs)
-        return instead
+    def _take(self, outputs: Outputs) -> None:
+        self._steps.append(outputs)
 
     def finish(self) -> str:
         """Write the answer.
@@ -326,7 +373,7 @@ class WholeForecast(_Forecast):
         response = PredictResponse(
             **dict(self.summary(forecast.outputs)),
             objects=_objects(forecast, self.balls, other),
-            times_s=[step / self._rate for step in range(len(self._steps))],
+            times_s=[step / self._step_rate for step in range(len(self._steps))],
             ellipse50_radii=forecast.ellipse50_radii.tolist(),
         )
         return response.model_dump_json()
@@ -352,18 +399,10 @@ class StreamedForecast(_Forecast):
         super().__init__(parse, token, registry, metrics)
         self._emit = emit
         self._first: Mapping[OutputName, np.ndarray] = {}
+        self._handed = 0
 
-    def step(self, index: int, outputs: Outputs) -> Decoding | None:
-        """Hand a step over.
-
-        Raises
-        ------
-        service.errors.DivergedError
-            When a number is not finite.
-        """
-        instead = super().step(index, outputs)
-        if instead is not None:
-            return instead
+    def _take(self, outputs: Outputs) -> None:
+        index, self._handed = self._handed, self._handed + 1
         made, _ = self.motions(stacked([outputs]), first_step=index)
         forecast = self.answered(made, first_step=index)
         if index == 0:
@@ -371,7 +410,7 @@ class StreamedForecast(_Forecast):
         self._emit(
             StreamStep(
                 step=index,
-                time_s=index / self._rate,
+                time_s=index / self._step_rate,
                 ellipse50_radius=forecast.ellipse50_radii.item(),
                 objects=[
                     StreamObject(
@@ -385,7 +424,6 @@ class StreamedForecast(_Forecast):
                 ],
             )
         )
-        return None
 
     def finish(self) -> None:
         """Hand over what is no step."""

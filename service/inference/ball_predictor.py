@@ -32,6 +32,7 @@ from rollcast.manifest import (
     PATCHES_INPUT,
     REFINER_FILE,
     SCENE_INPUTS,
+    SPACING_INPUT,
     STEP_FILE,
     Manifest,
 )
@@ -56,13 +57,15 @@ class FoundBalls:
     balls: Balls
     said: Said
     """What the detector said of the whole frames."""
+    spacing: float = 1.0
+    """Time between two of the frames, in steps of the rollout."""
 
     @property
     def packed(self) -> Float32[np.ndarray, "1 numbers"]:
         """Inputs of the encoder side by side, so that equal requests can be stacked."""
         of_balls = [np.ravel(getattr(self.balls, name)) for name in BALL_INPUTS]
         of_scene = [np.ravel(self.said[name]) for name in SCENE_INPUTS]
-        return np.concatenate([*of_balls, *of_scene])[None].astype(np.float32)
+        return np.concatenate([*of_balls, *of_scene, [self.spacing]])[None].astype(np.float32)
 
 
 class BallPredictor:
@@ -97,6 +100,7 @@ class BallPredictor:
         prompts: Float[np.ndarray, "balls 2"] | None = None,
         radii: Float[np.ndarray, " balls"] | None = None,
         objects: int | None = None,
+        spacing: float = 1.0,
     ) -> FoundBalls:
         """Find the balls of one request.
 
@@ -108,6 +112,8 @@ class BallPredictor:
             Of the prompts, NaN where it is not known.
         objects
             Balls that are wanted without prompts; None takes those that move, at least one.
+        spacing
+            Time between two frames, in steps of the rollout.
 
         Raises
         ------
@@ -117,7 +123,7 @@ class BallPredictor:
         balls, said = find_balls(self._detect, self._refine, frames, prompts, radii)
         if prompts is None:
             balls = balls.taken(_wanted(balls, objects, self.manifest.max_objects or 1))
-        return FoundBalls(balls, said)
+        return FoundBalls(balls, said, spacing)
 
     def sight(
         self,
@@ -196,15 +202,17 @@ class BallRollout(Predictor):
             "features": (count, -1),
             "ground": self.manifest.state[0].shape,
             "scene": (2,),
+            SPACING_INPUT: (),
         }
         known = {name: int(np.prod(shape)) for name, shape in shapes.items() if -1 not in shape}
         known["features"] = frames.shape[1] - sum(known.values())
-        ends = np.cumsum([known[name] for name in (*BALL_INPUTS, *SCENE_INPUTS)])
+        names = (*BALL_INPUTS, *SCENE_INPUTS, SPACING_INPUT)
+        ends = np.cumsum([known[name] for name in names])
         parts = np.split(frames, ends[:-1], axis=1)
         return self._model.begin(
             {
                 name: part.reshape(len(frames), *shapes[name])
-                for name, part in zip((*BALL_INPUTS, *SCENE_INPUTS), parts, strict=True)
+                for name, part in zip(names, parts, strict=True)
             }
         )
 

@@ -96,7 +96,10 @@ class Forecast:
 
 
 def assemble(
-    outputs: Mapping[OutputName, np.ndarray], covariance: CovarianceSource, first_step: int = 0
+    outputs: Mapping[OutputName, np.ndarray],
+    covariance: CovarianceSource,
+    first_step: int = 0,
+    spacing: float = 1.0,
 ) -> Forecast:
     """Make a forecast of stacked outputs: one of the two sources tells its covariances.
 
@@ -104,6 +107,8 @@ def assemble(
     ----------
     first_step
         Step that the outputs begin with.
+    spacing
+        Time between two steps, in those of ``covariance``.
 
     Raises
     ------
@@ -111,7 +116,8 @@ def assemble(
         When a number is not finite.
     """
     positions = outputs["positions"]
-    steps = np.arange(first_step, first_step + positions.shape[2], dtype=np.intp)
+    moments = spacing * np.arange(first_step, first_step + positions.shape[2], dtype=np.float64)
+    steps = np.rint(moments).astype(np.intp)
     if covariance.empirical is not None:
         table = np.array(covariance.empirical)[_held(steps, len(covariance.empirical))]
         covariances = np.broadcast_to(table, (*positions.shape, 2))

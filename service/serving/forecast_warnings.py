@@ -4,6 +4,7 @@ from rollcast.footage import RATE_TOLERANCE
 from rollcast.manifest import Manifest, PlaceUncertainty
 from rollcast.ood import FrameStats
 from service.inference.rollout import Predictor
+from service.inference.step_times import frame_spacing, reads_rate
 
 
 def doubts(
@@ -15,7 +16,7 @@ def doubts(
     """Return the warnings of a forecast from frames with some statistics, but for their looks."""
     manifest = predictor.manifest
     return [
-        *_of_horizon(manifest, horizon),
+        *_of_horizon(manifest, horizon, frame_spacing(manifest, frame_rate)),
         *_of_rate(manifest, frame_rate),
         *_of_stillness(seen),
     ]
@@ -55,11 +56,12 @@ def left_frame(step: int) -> str:
     )
 
 
-def _of_horizon(manifest: Manifest, horizon: int) -> list[str]:
+def _of_horizon(manifest: Manifest, horizon: int, spacing: float) -> list[str]:
     found: list[str] = []
-    if horizon > manifest.trained_horizon:
+    trained = 1 + int((manifest.trained_horizon - 1) / spacing)
+    if horizon > trained:
         found.append(
-            f"The horizon of {horizon} steps exceeds the {manifest.trained_horizon} steps that "
+            f"The horizon of {horizon} steps exceeds the {trained} steps that "
             f"{manifest.label} was trained on: later steps are extrapolated."
         )
     known = manifest.covariance.empirical
@@ -73,8 +75,14 @@ def _of_horizon(manifest: Manifest, horizon: int) -> list[str]:
 
 def _of_rate(manifest: Manifest, given: float) -> list[str]:
     rate = manifest.frame_rate_hz
-    if abs(given - rate) <= RATE_TOLERANCE * rate:
+    if abs(given - rate) <= RATE_TOLERANCE * rate or reads_rate(manifest, given):
         return []
+    if manifest.frame_rates_hz is not None:
+        lowest, highest = manifest.frame_rates_hz
+        return [
+            f"The frames are {given:g} a second and {manifest.label} was trained on {lowest:g} to "
+            f"{highest:g}: the forecast assumes {rate:g}."
+        ]
     return [
         f"The frames are {given:g} a second and {manifest.label} was trained on "
         f"{rate:g}: the forecast assumes what it learned there."

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from rollcast.footage import RATE_TOLERANCE
 from rollcast.manifest import Manifest
 from rollcast.scene import Domain
 from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON
@@ -15,6 +16,7 @@ from service.errors import (
     UnknownModelError,
 )
 from service.inference.rollout import Predictor
+from service.inference.step_times import reads_rate
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,8 @@ class ModelQuery:
     square: bool = True
     """Whether the frames are squares, as models for a fixed number of balls need them."""
     horizon: int = DEFAULT_HORIZON
+    frame_rate: float | None = None
+    """Frames a second, if the request tells it."""
 
 
 class Registry:
@@ -180,7 +184,10 @@ class Registry:
         # Those for a fixed number of balls cannot be told which ones are meant, and read squares.
         # Where nothing else is served, the refusal of a rectangle says so.
         only_any = query.prompted or (of_any_number and not query.square)
-        for peers in [of_any_number] if only_any else [made_for_it, of_any_number]:
+        # Those that are told the rate of the frames know how fast the balls are.
+        at_other_rate = [p for p in of_any_number if _reads_other_rate(p.manifest, query)]
+        choices = [made_for_it, of_any_number]
+        for peers in [of_any_number] if only_any else [at_other_rate, *choices]:
             if suitable := _suitable(peers, query):
                 return min(suitable, key=lambda p: p.manifest.error_at(query.horizon))
         kind = "reads a final frame" if query.final_frame else "predicts a covariance"
@@ -225,6 +232,14 @@ def _suitable(peers: Sequence[Predictor], query: ModelQuery) -> list[Predictor]:
         and (peer.manifest.final_step is not None) == query.final_frame
         and (query.final_frame or peer.manifest.covariance.source == "predicted")
     ]
+
+
+def _reads_other_rate(manifest: Manifest, query: ModelQuery) -> bool:
+    """Tell whether frames have another rate than the usual one, which a model is told."""
+    rate, usual = query.frame_rate, manifest.frame_rate_hz
+    if rate is None or abs(rate - usual) <= RATE_TOLERANCE * usual:
+        return False
+    return reads_rate(manifest, rate)
 
 
 def _one_of(labels: Iterable[str]) -> str:

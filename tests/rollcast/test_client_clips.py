@@ -50,7 +50,8 @@ def test_streams_and_many_calls_take_videos_too(client, clip):
     assert len(list(stream)) == 3
     forecasts = connected.predict_many([clip, clip], start_s=0.5, horizon=3)
     assert len(forecasts) == 2
-    assert len({asked.frames[0] for asked in service.asked}) == 1
+    sent = [asked.frames for asked in service.asked if asked.path != "/models"]
+    assert len({frames[0] for frames in sent}) == 1
 
 
 def test_blended_frames_are_told(client, tmp_path):
@@ -61,6 +62,39 @@ def test_blended_frames_are_told(client, tmp_path):
     stream = connected.predict_stream(slow, horizon=3)
     assert len(list(stream)) == 3
     assert stream.forecast.warnings == forecast.warnings
+
+
+class ToldItsRate(FakeService):
+    """A service with a model that is told the rate of its frames."""
+
+    def _served(self, asked):
+        response = super()._served(asked)
+        if asked.path == "/models":
+            (entry,) = response.json()["models"]
+            told = {"models": [entry | {"frame_rates_hz": [15, 125]}]}
+            response = type(response)(200, json=told)
+        return response
+
+
+@pytest.mark.parametrize(
+    ("rate", "taken"), [(30, 30), (24, 24), (50, 50), (60, 30), (80, 40), (100, 50)]
+)
+def test_frames_are_as_they_were_taken_for_a_model_that_is_told_their_rate(
+    client, tmp_path, rate, taken
+):
+    video = written(tmp_path / "clip.mp4", rate=rate)
+    service = ToldItsRate()
+    forecast = client(service).predict(video, horizon=3)
+    assert forecast.warnings == ()
+    assert float(service.asked[-1].fields["frame_rate"]) == pytest.approx(taken, rel=0.02)
+    expected = read_frames(video, frame_rate=taken)
+    assert [*service.asked[-1].frames] == [encoded(frame, None) for frame in expected.frames]
+
+
+def test_a_rate_that_is_asked_for_is_blended(client, tmp_path):
+    video = written(tmp_path / "clip.mp4", rate=30)
+    forecast = client(ToldItsRate()).predict(video, horizon=3, frame_rate=40)
+    assert "no frames 40 a second apart" in forecast.warnings[0]
 
 
 def test_a_model_says_how_its_videos_are_read(client, clip):

@@ -39,6 +39,7 @@ DONE = event(
     model={"name": "dot", "version": 1, "variant": "dotnet", "trained_horizon": 20},
     frame_size=[48, 48],
     frame_rate=40,
+    step_rate=40,
     objects=[{"id": 0, "color": "red", "covariance_source": "predicted"}],
     final_positions=None,
     warnings=["beware"],

@@ -28,8 +28,9 @@ class Service(httpx2.BaseTransport):
     def handle_request(self, request):
         if request.method == "GET":
             about = {"name": "dot", "version": 3, "status": "ready", "versions": [3]}
-            told = {"licence": None, "card": None, **about, **self.known}
-            return httpx2.Response(200, content=json.dumps(told))
+            told = {"licence": None, "card": None, "default": True, **about, **self.known}
+            listed = request.url.path == "/models"
+            return httpx2.Response(200, content=json.dumps({"models": [told]} if listed else told))
         body = request.read()
         self.requests.append(body)
         horizon, rate = int(field(body, "horizon")), float(field(body, "frame_rate"))
@@ -45,6 +46,7 @@ class Service(httpx2.BaseTransport):
             "model": {"name": "dot", "version": 3, "variant": "dotnet", "trained_horizon": 20},
             "frame_size": [SIDE, SIDE],
             "frame_rate": rate,
+            "step_rate": rate,
             "objects": [ball],
             "times_s": [step / rate for step in range(horizon)],
             "ellipse50_radii": [1.2] * horizon,
@@ -200,7 +202,7 @@ DRAWN = "is not a .png, .jpg, .jpeg, .webp, .mp4, .webm, .gif file"
         (["clip.mp4", "--start", "soon"], "soon is not a number of seconds"),
         (["clip.mp4", "--start", "nan"], "nan is not a number of seconds"),
         (["clip.mp4", "--every", "0"], "0 is not a whole number from 1 to 1000"),
-        (["clip.mp4", "--rate", "0"], "0 is not a frame rate in Hz"),
+        (["clip.mp4", "--rate", "0"], "0 is not a rate in Hz"),
         (["clip.mp4", "--horizon", "0"], "0 is not a whole number from 1 to 1000"),
         (["clip.mp4", "--horizon", "1.5"], "1.5 is not a whole number from 1 to 1000"),
         (["clip.mp4", "--num-objects", "9"], "9 is not a whole number from 1 to 8"),
@@ -227,7 +229,7 @@ def test_a_service_that_does_not_run_is_one_line(video, capsys):
     assert main(["predict", str(video), "--url", f"http://127.0.0.1:{port}"]) == 1
     printed = capsys.readouterr()
     assert printed.out == ""
-    assert printed.err.startswith(f"rollcast: http://127.0.0.1:{port}/predict does not answer")
+    assert printed.err.startswith(f"rollcast: http://127.0.0.1:{port}/models does not answer")
     assert printed.err.endswith("is the service running (make serve)?\n")
     assert printed.err.count("\n") == 1
 

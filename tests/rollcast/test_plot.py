@@ -22,7 +22,7 @@ def forecast(objects=1, steps=41, variance=4.0):
         positions=positions.astype(float),
         covariances=covariances,
         times_s=np.arange(steps) / 40,
-        frame_rate=40.0,
+        step_rate=40.0,
     )
 
 

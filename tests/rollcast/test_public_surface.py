@@ -117,6 +117,7 @@ class AsyncClient(
         balls: Sequence[rollcast.schemas.BallPrompt | Sequence[float] | numpy.ndarray] | numpy.ndarray | None = None,
         scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
+        step_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
         start_s: float | None = None,
     ) -> rollcast.client.results.Forecast
@@ -143,6 +144,7 @@ class AsyncClient(
         num_objects: int | numpy.integer[Any] | None = None,
         scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
+        step_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
     ) -> rollcast.client.aio_session.AsyncSession
     async def simulate(
@@ -250,6 +252,7 @@ class Client(
         balls: Sequence[rollcast.schemas.BallPrompt | Sequence[float] | numpy.ndarray] | numpy.ndarray | None = None,
         scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
+        step_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
         start_s: float | None = None,
     ) -> rollcast.client.results.Forecast
@@ -276,6 +279,7 @@ class Client(
         num_objects: int | numpy.integer[Any] | None = None,
         scenario: Optional[Literal['hemisphere', 'ellipsoid', 'heightfield', 'table', 'footage']] = None,
         frame_rate: float | None = None,
+        step_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
     ) -> rollcast.client.sync_session.Session
     def simulate(
@@ -319,6 +323,7 @@ class Forecast(
         model: rollcast.schemas.ModelReference,
         frame_size: tuple[int, int],
         frame_rate: float,
+        step_rate: float,
         warnings: tuple[str, ...],
         timing_ms: rollcast.schemas.PredictTiming,
     ) -> None

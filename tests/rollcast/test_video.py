@@ -80,6 +80,22 @@ def test_frames_that_no_camera_took_are_blended(tmp_path, rate):
     assert footage.blended_over_s == pytest.approx(1 / rate, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("rate", "every"), [(15, 1), (24, 1), (29.97, 1), (50, 1), (60, 2), (100, 2), (240, 6)]
+)
+def test_a_model_that_is_told_the_rate_gets_the_frames_that_were_taken(tmp_path, rate, every):
+    video = write_video(tmp_path / "clip.mp4", even(rate, frames=58))
+    footage = read_frames(video, told_rates=(15, 125))
+    assert numbers(footage) == [0, every, 2 * every, 3 * every]
+    assert footage.blended_over_s == 0
+    assert footage.frame_rate == pytest.approx(rate / every, rel=0.02)
+
+
+def test_rates_that_a_model_is_not_told_are_blended(tmp_path):
+    video = write_video(tmp_path / "clip.mp4", even(10, frames=30))
+    assert read_frames(video, told_rates=(15, 125)).blended_over_s > 0
+
+
 def test_another_rate_may_be_asked_for(tmp_path):
     video = write_video(tmp_path / "clip.mp4", even(30))
     assert numbers(read_frames(video, frame_rate=30)) == [0, 1, 2, 3]

@@ -61,7 +61,8 @@ def _encode(**seen: np.ndarray) -> dict[str, np.ndarray]:
     """Balls that go on as they went: a state of places and velocities."""
     assert set(BALL_INPUTS) < set(seen)
     places = seen["places"]
-    state = {"position": places[:, :, -1], "velocity": places[:, :, -1] - places[:, :, -2]}
+    shift = places[:, :, -1] - places[:, :, -2]
+    state = {"position": places[:, :, -1], "velocity": shift / seen["spacing"][:, None, None]}
     return state | _outputs(places[:, :, -1])
 
 

@@ -70,12 +70,16 @@ PARTS: dict[Part, BallTraining] = {
         fresh_rate=2.0,
     ),
 }
+OTHER_RATES = 0.5
+"""Share of the simulated windows that are filmed at another rate (decision 0153)."""
 LOOKS: dict[Part, BallLooks] = {
-    "all": BallLooks(),
-    "detector": BallLooks(),
-    "refiner": BallLooks(paper=0.25, filmed=0.2, restyled=0.25, planar=0.3),
+    "all": BallLooks(other_rates=OTHER_RATES),
+    "detector": BallLooks(other_rates=OTHER_RATES),
+    "refiner": BallLooks(
+        paper=0.25, filmed=0.2, restyled=0.25, planar=0.3, other_rates=OTHER_RATES
+    ),
 }
-MOTION_LOOKS = BallLooks(paper=0.45, filmed=0.2, restyled=0.25, planar=0.1)
+MOTION_LOOKS = BallLooks(paper=0.45, filmed=0.2, restyled=0.25, planar=0.1, other_rates=OTHER_RATES)
 
 
 def add_to(app: typer.Typer) -> None:

@@ -27,6 +27,8 @@ from training.common.settings import runs_folder
 from training.data.shards import Source
 from training.evaluation.error_breakdown import dissected, dissection_table
 from training.evaluation.evaluate import evaluation_sets, markdown_table, metric_rows, run
+from training.evaluation.frame_rates import measure as measure_frame_rates
+from training.evaluation.frame_rates import results_table as rates_table
 from training.evaluation.perturbations import measure as measure_perturbations
 from training.evaluation.perturbations import results_table
 from training.evaluation.real_clips import balls_look, eye_look
@@ -81,6 +83,16 @@ one, averaged over the scenarios.
 
 {table}
 """
+FRAME_RATES_PAGE = """# Frame rates
+
+Written by `python -m training frame-rates URL --page`, for the model `{model}` of a running
+service. Each row shows the mean error after half a second, in pixels of 128 x 128 frames, on
+{scenes} test scenes per scenario that are filmed at another rate; `frame_rate` tells the service.
+At 15 frames a second the first step after half a second counts. The ratio is the error relative to
+that at 40 frames a second, averaged over the scenarios.
+
+{table}
+"""
 BOWLS_AND_HEIGHTFIELDS: tuple[Scenario, ...] = ("hemisphere", "ellipsoid", "heightfield")
 Version = Annotated[int, typer.Option(min=1)]
 
@@ -92,6 +104,7 @@ def add_to(app: typer.Typer) -> None:
     app.command("real-clips")(real_clips)
     app.command("tracked-clips")(tracked_clips)
     app.command("perturbations")(perturbations)
+    app.command("frame-rates")(frame_rates)
     app.command("export")(export)
     app.command("quantise")(quantise)
     app.command("fit-ood")(fit_ood)
@@ -149,6 +162,26 @@ def perturbations(
     if page:
         filled = PERTURBATIONS_PAGE.format(model=model, scenes=scenes, table=text)
         _write_page("perturbations", filled)
+    typer.echo(text)
+
+
+def frame_rates(
+    url: Annotated[str, typer.Argument(help="address of a running service")],
+    model: Annotated[str, typer.Option(help="auto, NAME or NAME@VERSION")] = AUTO_MODEL,
+    scenes: Annotated[int, typer.Option(min=1, help="test scenes per scenario")] = 50,
+    workers: Workers = CORES,
+    page: Annotated[
+        bool, typer.Option("--page", help="write the table into docs/results/frame-rates.md")
+    ] = False,
+) -> None:
+    """Measure a running service on simulated scenes that are filmed at other rates."""
+    with Client(url) as service:
+        made = measure_frame_rates(service, BOWLS_AND_HEIGHTFIELDS, scenes, workers, model)
+        measured = list(made)
+    text = rates_table(measured)
+    if page:
+        filled = FRAME_RATES_PAGE.format(model=model, scenes=scenes, table=text)
+        _write_page("frame-rates", filled)
     typer.echo(text)
 
 

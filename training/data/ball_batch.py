@@ -27,13 +27,15 @@ class BallWindow(NamedTuple):
     moving: Float[np.ndarray, " balls"]
     """1 where a ball moves, 0 where it rests."""
     centres: Float[np.ndarray, "balls steps 3"]
-    """From the first seen frame to the last step, without the picture's shake."""
+    """From t = -3 to the last step, a step of a forecast apart, without the picture's shake."""
     spins: Float[np.ndarray, "balls steps 3"]
     """rad/s, from t = 0 to the last step."""
     ground: Float[np.ndarray, "3 cells cells"]
     """See :func:`training.data.rest_height_map.resting_ground`."""
     scene: Float[np.ndarray, "2"]
     """See :func:`training.networks.perception.measures_of`; of the first ball."""
+    spacing: float = 1.0
+    """Time between two seen frames, in those of a forecast; ``centres`` have one of a forecast."""
 
 
 class BallBatch(NamedTuple):
@@ -48,6 +50,8 @@ class BallBatch(NamedTuple):
     spins: Tensor
     ground: Tensor
     scene: Tensor
+    spacing: Tensor
+    """[B]."""
     there: Tensor
     """[B, M]."""
 
@@ -62,6 +66,7 @@ def collate(windows: Sequence[BallWindow]) -> BallBatch:
         frames=torch.from_numpy(np.stack([window.frames for window in windows])),
         ground=torch.from_numpy(np.stack([w.ground for w in windows]).astype(np.float32)),
         scene=torch.from_numpy(np.stack([w.scene for w in windows]).astype(np.float32)),
+        spacing=torch.tensor([window.spacing for window in windows]),
         there=(~padded["radii"].isnan()).float(),
         **padded,
     )

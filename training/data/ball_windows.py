@@ -15,10 +15,11 @@ import torch
 from jaxtyping import Float
 from torch.utils.data import IterableDataset
 
-from rollcast.camera import BOWL_HALF_WIDTH_M, NETWORK_FRAME_SIZE, camera_for
+from rollcast.camera import BOWL_HALF_WIDTH_M, NETWORK_FRAME_SIZE, Camera, camera_for
 from rollcast.simulation.appearance import CameraPose, Clutter, draw_camera, draw_sensor
-from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
+from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES, Trajectory
 from training.data.ball_batch import MOST_BALLS, BallBatch, BallWindow, collate
+from training.data.frame_spacing import draw_spacing, earliest_start, seen_states
 from training.data.painting.camera import posed_frames, posed_ground, posed_points, shaken
 from training.data.painting.clutter import clutter_mask
 from training.data.painting.planar import draw_planar_scene, paint_planar_scene
@@ -59,6 +60,8 @@ class BallLooks:
     filmed: float = 0.2
     restyled: float = 0.25
     planar: float = 0.35
+    other_rates: float = 0.0
+    """Share of the simulated windows whose frames have another spacing than the simulation's."""
 
 
 class BallWindowMaker:
@@ -76,13 +79,16 @@ class BallWindowMaker:
             recordings, None, scene_cache, scene_targets=scene_cache is not None
         )
 
-    def window(self, generator: np.random.Generator, kind: Kind, latest_start: int) -> BallWindow:
-        """Draw a window of a random scene."""
+    def window(
+        self, generator: np.random.Generator, kind: Kind, latest_start: int, spacing: float = 1.0
+    ) -> BallWindow:
+        """Draw a window of a random scene; ``spacing`` as in :func:`seen_states`."""
         index = int(generator.integers(self.scenes))
         start = int(generator.integers(latest_start + 1))
+        start = max(start, earliest_start(spacing))
         if kind == "restyled":
-            return self._restyled(generator, index, start)
-        window = self.at(index, start)
+            return self._restyled(generator, index, start, spacing)
+        window = self.at(index, start, spacing=spacing)
         return self._filmed(generator, index, window) if kind == "filmed" else window
 
     def truth(self, generator: np.random.Generator, latest_start: int) -> BallWindow:
@@ -91,12 +97,20 @@ class BallWindowMaker:
         window = self.at(index, int(generator.integers(latest_start + 1)), seen=False)
         return turned(window, int(generator.integers(4)), mirror=bool(generator.integers(2)))
 
-    def at(self, index: int, start: int, *, seen: bool = True) -> BallWindow:
-        """Window of a scene whose first seen frame is ``start``, as the paper shows it."""
-        window = self._maker.window(index, start, MAX_HORIZON, seen=seen)
-        scene = self._maker.recording(index).scene
-        radius = scene.radius_m / camera_for(scene.scenario, NETWORK_FRAME_SIZE).half_width_m
-        return _known(window, radius, np.zeros((OBSERVED_FRAMES, 2)))
+    def at(self, index: int, start: int, *, seen: bool = True, spacing: float = 1.0) -> BallWindow:
+        """Window of a scene as the paper shows it; ``start`` as in :func:`seen_states`."""
+        as_simulated = spacing == 1
+        window = self._maker.window(index, start, MAX_HORIZON, seen=seen and as_simulated)
+        recording = self._maker.recording(index)
+        scene = recording.scene
+        camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
+        known = _known(window, scene.radius_m / camera.half_width_m, np.zeros((OBSERVED_FRAMES, 2)))
+        if as_simulated:
+            return known
+        states = seen_states(recording.trajectory, start, spacing)
+        if seen:
+            known = known._replace(frames=self._maker.renderer(index).render(states))
+        return _seen_at(known, states, camera, spacing)
 
     def _filmed(self, generator: np.random.Generator, index: int, window: BallWindow) -> BallWindow:
         """Show a window from another place, through another sensor."""
@@ -119,17 +133,21 @@ class BallWindowMaker:
             known.centres[:, OBSERVED_FRAMES:] = np.nan
         return known
 
-    def _restyled(self, generator: np.random.Generator, index: int, start: int) -> BallWindow:
+    def _restyled(
+        self, generator: np.random.Generator, index: int, start: int, spacing: float
+    ) -> BallWindow:
         recording = self._maker.recording(index)
         scene = recording.scene
         camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
-        seen = recording.trajectory.window(start, OBSERVED_FRAMES)
+        seen = seen_states(recording.trajectory, start, spacing)
         path = camera.project(seen.positions_m).swapaxes(0, 1).reshape(-1, 2)
         style = draw_restyling(generator, scene, path)
         shown = render_restyled(self._maker.renderer(index), scene, seen, style)
         window = self._maker.window(index, start, MAX_HORIZON, seen=False)
         still = np.zeros((OBSERVED_FRAMES, 2))
         known = _known(window, scene.radius_m / camera.half_width_m, still)
+        if spacing != 1:
+            known = _seen_at(known, seen, camera, spacing)
         if shown.pose != CameraPose():
             known = self._posed(index, known, shown.pose)
         known = known._replace(frames=shown.frames, places=known.places + shown.shake / HALF)
@@ -220,6 +238,17 @@ def _known(window: Window, radius: float, shake: Float[np.ndarray, "seen 2"]) ->
         window.angular_velocities,
         np.asarray(ground, np.float32),
         scene,
+    )
+
+
+def _seen_at(window: BallWindow, states: Trajectory, camera: Camera, spacing: float) -> BallWindow:
+    """Return a window whose seen frames show other states; ``centres`` stay the simulation's."""
+    places = camera.project(states.positions_m).swapaxes(0, 1) / HALF - 1
+    return window._replace(
+        places=places,
+        visible=(np.abs(places) <= 1).all(axis=-1).astype(float),
+        moving=_moving(HALF * places),
+        spacing=spacing,
     )
 
 
@@ -363,7 +392,9 @@ class BallStream(IterableDataset[BallBatch]):
             return planar_window(generator)
         shares = np.array([source.share for source in self._sources])
         source = self._sources[generator.choice(len(shares), p=shares / shares.sum())]
-        return source.maker.window(generator, kind, source.latest_start)
+        others = looks.other_rates > 0 and generator.random() < looks.other_rates
+        spacing = draw_spacing(generator) if others else 1.0
+        return source.maker.window(generator, kind, source.latest_start, spacing)
 
 
 def validation_windows(sources: Sequence[BallSource], count: int) -> list[BallWindow]:

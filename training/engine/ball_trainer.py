@@ -13,10 +13,11 @@ from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.common.precision import full_precision, mixed_precision
 from training.data.ball_batch import BallBatch
 from training.engine.loop import Optimisation, TrainerConfig, TrainingLoop
-from training.networks.any_ball import AnyBallNet, Beginning, Seen
+from training.networks.any_ball import AnyBallNet
 from training.networks.ball_detector import PIXEL, BallMaps, peaks, voted
 from training.networks.blocks import PIXEL_UNIT
 from training.networks.patches import half_widths
+from training.networks.recurrent import State
 from training.objectives.detection import DetectionLoss, RefinementLoss, chosen
 from training.objectives.losses import known_difference, smooth_distance, step_weights
 from training.objectives.schedules import Cosine
@@ -159,22 +160,20 @@ class BallTrainer(TrainingLoop[BallBatch]):
         with mixed_precision(batch.places.device):
             # A pass learns the first look of a half, the second one of the others.
             seen = eye.refine(balls.frames, places, radii, passes=1)
-        beginning = eye.begin(seen, maps.ground[rows.window], maps.scene[rows.window])
+        ground, spacing = maps.ground[rows.window], balls.spacing
+        state, beginning = self.network.begin(seen, ground, maps.scene[rows.window], spacing)
         parts |= self._refinement(seen, beginning, balls)
         if self.training.trajectory:
-            missed = self._trajectories(seen, beginning, maps.ground[rows.window], balls)
+            missed = self._trajectories(state, balls)
             alone = _alone(batch, rows)
             mean = (alone * missed).sum() / (alone.sum() + 1)
             parts["trajectories"] = self.training.trajectory * mean
         return parts
 
-    def _trajectories(
-        self, seen: Seen, beginning: Beginning, ground: Tensor, balls: BallBatch
-    ) -> Tensor:
+    def _trajectories(self, state: State, balls: BallBatch) -> Tensor:
         """Mean error [M] of trajectories of single balls, in pixels; unknown places are free."""
         horizon = self.training.horizon
-        state = self.network.state(seen, beginning, ground)
-        with full_precision(ground.device):
+        with full_precision(state.p.device):
             steps = self.network.rolling.trajectory(state, horizon)
         centres = torch.stack([step.centre for step in steps], dim=2)
         truth = balls.centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]

@@ -54,8 +54,10 @@ class BallReadings(NamedTuple):
     """[W, 3, G, G]."""
     scene: Tensor
     """[W, 2]."""
+    spacing: Tensor
+    """[W] time between two seen frames, in steps of the forecast."""
     centres: Tensor
-    """[W, N, S, 3] true ones, from the first seen frame on; NaN where they are not known."""
+    """[W, N, S, 3] true ones, from t = -3 on, a step apart; NaN where they are not known."""
     spins: Tensor
     """[W, N, T, 3] true ones from t = 0 on, rad/s; NaN where they are not known."""
 
@@ -119,8 +121,8 @@ def read_windows(
                 seen = network.eye.refine(batch.frames[one], said.places, said.radii)
                 reading = BallReadings(
                     seen.places, seen.radii, seen.visible, seen.log_sigmas, seen.features,
-                    maps.ground[one], maps.scene[one], batch.centres[one, balls],
-                    batch.spins[one, balls],
+                    maps.ground[one], maps.scene[one], batch.spacing[one],
+                    batch.centres[one, balls], batch.spins[one, balls],
                 )  # fmt: skip
                 rows.setdefault(len(balls), []).append(
                     BallReadings(*(part.clone() for part in reading))
@@ -187,8 +189,8 @@ def trajectory_loss(
 ) -> Tensor:
     """Loss of trajectories that begin with what was read, in pixels; what is not known is free."""
     seen = readings.seen
-    balls = network.eye.begin(seen, readings.ground, readings.scene)
-    steps = network.rolling.trajectory(network.state(seen, balls, readings.ground), horizon)
+    state, balls = network.begin(seen, readings.ground, readings.scene, readings.spacing)
+    steps = network.rolling.trajectory(state, horizon)
     centres = torch.stack([step.centre for step in steps], dim=2)
     truth = readings.centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
     loss = MotionLoss(halving)(centres, truth)

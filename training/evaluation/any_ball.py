@@ -57,8 +57,16 @@ class TorchFinder:
         """Find balls, see :func:`rollcast.ball_finding.find_balls`."""
         return find_balls(self.detect, self.refine, frames, prompts)
 
-    def forecast(self, balls: Balls, said: Arrays, horizon: int) -> dict[str, np.ndarray]:
-        """Positions [N, T, 2] in px of 128, covariances and angular velocities of the steps."""
+    def forecast(
+        self, balls: Balls, said: Arrays, horizon: int, spacing: float = 1.0
+    ) -> dict[str, np.ndarray]:
+        """Positions [N, T, 2] in px of 128, covariances and angular velocities of the steps.
+
+        Parameters
+        ----------
+        spacing
+            Time between two seen frames, in steps.
+        """
 
         def tensor(array: np.ndarray) -> torch.Tensor:
             return torch.from_numpy(np.asarray(array, np.float32))[None]
@@ -69,8 +77,7 @@ class TorchFinder:
                 tensor(balls.log_sigmas), tensor(balls.features),
             )  # fmt: skip
             ground, scene = tensor(said["ground"][0]), tensor(said["scene"][0])
-            beginning = self.network.eye.begin(seen, ground, scene)
-            state = self.network.state(seen, beginning, ground)
+            state, _ = self.network.begin(seen, ground, scene, tensor(np.array(spacing)))
             made = self.network.roll_out(state, horizon)
         return {name: value[0].numpy() for name, value in made.outputs().items()}
 

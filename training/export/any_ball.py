@@ -25,6 +25,7 @@ from rollcast.manifest import (
     REFINER_FILE,
     REFINER_OUTPUTS,
     SCENE_INPUTS,
+    SPACING_INPUT,
     STEP_FILE,
 )
 from rollcast.outputs import OutputName
@@ -89,11 +90,11 @@ class BallEncoderGraph(torch.nn.Module):
         features: Tensor,
         ground: Tensor,
         scene: Tensor,
+        spacing: Tensor,
     ) -> tuple[Tensor, ...]:
         """Begin."""
         seen = seen_balls(places, radii, radii[..., None], log_sigmas, features)
-        balls = self.network.eye.begin(seen, ground, scene)
-        state = self.network.state(seen, balls, ground)
+        state, _ = self.network.begin(seen, ground, scene, spacing)
         return *state, *present(self.network.observe(state))
 
 
@@ -129,12 +130,13 @@ def write_ball_graphs(network: AnyBallNet, folder: Path) -> None:
     both = {0: batch, 1: balls}
     begun = (
         torch.rand(2, 3, OBSERVED_FRAMES, 2), torch.rand(2, 3) + 0.1, torch.zeros(2, 3, 2),
-        torch.zeros(2, 3, FEATURES), torch.zeros(2, 3, 32, 32), torch.zeros(2, 2),
+        torch.zeros(2, 3, FEATURES), torch.zeros(2, 3, 32, 32), torch.zeros(2, 2), torch.ones(2),
     )  # fmt: skip
     encoded = [*STATE_NAMES, *OUTPUTS]
     write_graph(
-        BallEncoderGraph(network), begun, [*BALL_INPUTS, *SCENE_INPUTS], encoded,
-        folder / ENCODER_FILE, (both, both, both, both, {0: batch}, {0: batch}),
+        BallEncoderGraph(network), begun, [*BALL_INPUTS, *SCENE_INPUTS, SPACING_INPUT], encoded,
+        folder / ENCODER_FILE,
+        (both, both, both, both, {0: batch}, {0: batch}, {0: batch}),
     )  # fmt: skip
     with torch.inference_mode():
         state = BallEncoderGraph(network)(*begun)[: len(STATE_NAMES)]
@@ -170,9 +172,18 @@ class BallGraphs:
         said = self._refiner.run(list(wanted), {PATCHES_INPUT: patches})
         return dict(zip(wanted, said, strict=True))
 
-    def roll(self, balls: Balls, said: Arrays, horizon: int) -> dict[OutputName, np.ndarray]:
-        """Forecast the steps 0..horizon-1 of balls: outputs [N, T, ...] by name."""
+    def roll(
+        self, balls: Balls, said: Arrays, horizon: int, spacing: float = 1.0
+    ) -> dict[OutputName, np.ndarray]:
+        """Forecast the steps 0..horizon-1 of balls: outputs [N, T, ...] by name.
+
+        Parameters
+        ----------
+        spacing
+            Time between two seen frames, in steps.
+        """
         seen = {name: getattr(balls, name)[None].astype(np.float32) for name in BALL_INPUTS}
         seen |= {name: said[name] for name in SCENE_INPUTS}
+        seen[SPACING_INPUT] = np.array([spacing], np.float32)
         rolled = roll_on(partial(run_step, self._step), run_step(self._encoder, seen), horizon)
         return {name: rolled[name][0] for name in OUTPUTS}

@@ -24,6 +24,7 @@ from rollcast.manifest import (
 from rollcast.outputs import SPECS, OutputName
 from rollcast.scene import MAX_BALLS, Scenario
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
+from training.data.frame_spacing import SPACINGS_MS
 from training.evaluation.any_ball import TorchFinder, forecast_sets
 from training.evaluation.evaluate import EvaluationSet, markdown_table, metric_rows
 from training.export.any_ball import OUTPUTS, STATE_NAMES, BallGraphs, write_ball_graphs
@@ -114,6 +115,7 @@ def export_balls(
         observed_frames=OBSERVED_FRAMES,
         frames=OBSERVED_FRAMES,
         frame_rate_hz=FRAME_RATE_HZ,
+        frame_rates_hz=(round(1000 / SPACINGS_MS[1], 1), 1000 / SPACINGS_MS[0]),
         frame_size=NETWORK_FRAME_SIZE,
         trained_horizon=trained.horizon,
         state=(
@@ -209,11 +211,13 @@ def _card(
     tables = "\n\n".join(
         f"### {balls} balls, test\n\n{markdown_table(found)}" for balls, found in several.items()
     )
+    rates = f"{1000 / SPACINGS_MS[1]:.0f} to {1000 / SPACINGS_MS[0]:.0f} per second"
     return f"""# {trained.name}@{version}
 
 FieldNet for 1 to {MAX_BALLS} balls, which point prompts may select. A detector finds the balls in
 the frames at 128 x 128 pixels, and a refiner reads patches that are cut from the frames at their
-full size. The motion was trained on rollouts of {trained.horizon} steps at {FRAME_RATE_HZ:g} Hz.
+full size. The motion was trained on rollouts of {trained.horizon} steps at {FRAME_RATE_HZ:g} Hz,
+from frames of {rates}, whose rate the model is told.
 
 - Trained on {trained.sequences:,} windows of simulated scenes ({sources}), as they are and with
   random appearances, and of planar scenes with up to {MAX_BALLS} balls.

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from rollcast.camera import BOWL_HALF_WIDTH_M
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.common.precision import full_precision
-from training.networks.ball_detector import BallDetector, BallMaps
+from training.networks.ball_detector import BallDetector
 from training.networks.fieldnet import (
     FIRST_VARIANCE_PX2,
     LARGEST_VARIANCE_PX2,
@@ -80,7 +80,7 @@ class Beginning(NamedTuple):
 
     centres: Tensor
     velocities: Tensor
-    """A frame."""
+    """A step of the forecast."""
     spins: Tensor
     """Units of 20 rad/s, world axes."""
     constants: Tensor
@@ -94,7 +94,7 @@ class BallPerception(nn.Module):
         super().__init__()
         self.detector = BallDetector()
         self.refiner = PatchRefiner()
-        seen = FEATURES + 2 * (OBSERVED_FRAMES - 1) + 2 + 3 * len(SAMPLE_AHEAD) + 2 + 4
+        seen = FEATURES + 2 * (OBSERVED_FRAMES - 1) + 2 + 3 * len(SAMPLE_AHEAD) + 2 + 4 + 1
         self.state = nn.Sequential(
             nn.Linear(seen, 192), nn.SiLU(), nn.Linear(192, 192), nn.SiLU(), nn.Linear(192, 9)
         )
@@ -136,11 +136,20 @@ class BallPerception(nn.Module):
             features,
         )
 
-    def begin(self, seen: Seen, ground_B3GG: Tensor, scene_B2: Tensor) -> Beginning:
-        """Balls at t = 0: rise and spin are read as what differs from rolling without slipping."""
+    def begin(
+        self, seen: Seen, ground_B3GG: Tensor, scene_B2: Tensor, spacing_B: Tensor
+    ) -> Beginning:
+        """Balls at t = 0: rise and spin are read as what differs from rolling without slipping.
+
+        Parameters
+        ----------
+        spacing_B
+            Time between two seen frames, in steps of the forecast.
+        """
         with full_precision(ground_B3GG.device):
             last = seen.places[:, :, -1]
             shifts = seen.places[:, :, 1:] - seen.places[:, :, :-1]
+            shifts = shifts / spacing_B[:, None, None, None]
             ahead = torch.stack([last + a * shifts[:, :, -1] for a in SAMPLE_AHEAD], dim=2)
             under = sampled(ground_B3GG, ahead.detach())
             constants = ball_constants(scene_B2, seen.radii)
@@ -149,8 +158,9 @@ class BallPerception(nn.Module):
             rolling = rolling_spin(lean, moving, radius_of(constants))
             known = [
                 seen.features, 10 * shifts.flatten(2), last, under.flatten(2), constants, 10 * rise,
+                rolling, spacing_B.log()[:, None, None].expand_as(last[..., :1]),
             ]  # fmt: skip
-            said = of_each(self.state, torch.cat([*known, rolling], dim=-1))
+            said = of_each(self.state, torch.cat(known, dim=-1))
             height = under[:, :, 0, 2:] + 0.1 * said[..., 2:3]
             centres = torch.cat([last + 0.01 * said[..., :2], height], dim=-1)
             flat = 0.03 * said[..., 3:5]
@@ -182,16 +192,21 @@ class AnyBallNet(nn.Module):
             )
         self.output = GaussianOutput(LARGEST_VARIANCE_PX2)
 
-    def begin(self, seen: Seen, maps: BallMaps) -> tuple[State, Beginning]:
-        """h_0 from what was seen."""
-        balls = self.eye.begin(seen, maps.ground, maps.scene)
-        return self.state(seen, balls, maps.ground), balls
+    def begin(
+        self, seen: Seen, ground_B3GG: Tensor, scene_B2: Tensor, spacing_B: Tensor
+    ) -> tuple[State, Beginning]:
+        """h_0 from what was seen, see :meth:`BallPerception.begin`."""
+        balls = self.eye.begin(seen, ground_B3GG, scene_B2, spacing_B)
+        return self.state(seen, balls, ground_B3GG, spacing_B), balls
 
-    def state(self, seen: Seen, balls: Beginning, ground_B3GG: Tensor) -> State:
+    def state(self, seen: Seen, balls: Beginning, ground_B3GG: Tensor, spacing_B: Tensor) -> State:
         """h_0 of balls at t = 0."""
         with full_precision(ground_B3GG.device):
             doubt = of_each(self.first_doubt, seen.features.detach())
-            doubt = doubt + of_each(self.unsure, seen.log_sigmas.detach() + 4)
+            log_sigmas = seen.log_sigmas.detach()
+            of_velocity = log_sigmas[..., 1:] - spacing_B.log()[:, None, None]
+            log_sigmas = torch.cat([log_sigmas[..., :1], of_velocity], dim=-1)
+            doubt = doubt + of_each(self.unsure, log_sigmas + 4)
         ball = Ball(balls.centres, balls.velocities, balls.spins, doubt, balls.constants)
         return State(ground_B3GG, ball.packed())
 

@@ -27,6 +27,7 @@ from training.recipes.setup import setup, setup_continued, setup_seeing
 from training.recipes.sighted import (
     sighted_one_ball,
     sighted_one_ball_between,
+    sighted_one_ball_further,
     sighted_several_balls,
     sighted_several_balls_between,
 )
@@ -52,6 +53,7 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "field-2-balls-between": partial(field_several_balls_between, 2),
     "field-3-balls-between": partial(field_several_balls_between, 3),
     "sighted-one-ball": sighted_one_ball,
+    "sighted-one-ball-further": sighted_one_ball_further,
     "sighted-one-ball-between": sighted_one_ball_between,
     "sighted-2-balls": partial(sighted_several_balls, 2),
     "sighted-3-balls": partial(sighted_several_balls, 3),

@@ -69,8 +69,9 @@ def warm_network(one_ball: Mapping[str, Tensor], several: Mapping[str, Tensor]) 
             continue
         shape = own[new].shape
         if value.shape != shape:
-            # What is told of encounters stands last among what is felt.
-            value = torch.cat([value, several[name][:, value.shape[1] :]], dim=1)
+            # What is told of encounters, or of the frames' spacing, stands last.
+            wide = several[name] if several[name].shape == shape else torch.zeros(shape)
+            value = torch.cat([value, wide[:, value.shape[1] :]], dim=1)
         taken[new] = value
     taken |= {name: value for name, value in several.items() if "encounters" in name}
     network.load_state_dict(own | taken)

@@ -34,6 +34,28 @@ def sighted_one_ball() -> Recipe:
     )
 
 
+def sighted_one_ball_further() -> Recipe:
+    """Train PosNet, DispNet and ProbNet of sighted-one-ball (``--init``) up to T_gen.
+
+    Trained for 20 steps, they lose the ball in a bowl soon after: 9 px at T = 40, where the
+    same state can follow it (docs/experiments.md). The perception stays frozen.
+    """
+    recipe = sighted_one_ball()
+    data = tuple(replace(part, scenes=min(part.scenes, 1600)) for part in recipe.data)
+    horizons = (Milestone(0, 20), Milestone(0.3, 40))
+    assert recipe.explicit is not None
+    return replace(
+        recipe,
+        name="sighted-one-ball-further",
+        data=data,
+        sequences=48_000,
+        curriculum=horizons,
+        explicit=replace(recipe.explicit, curriculum=horizons),
+        learning_rate=8e-4,
+        seed=7,
+    )
+
+
 def sighted_one_ball_between() -> Recipe:
     """InterpNet for one ball, from FieldNet's perception and trained motion (``--init``)."""
     return _interpolated(sighted_one_ball(), one_ball_between())

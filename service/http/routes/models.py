@@ -45,6 +45,7 @@ def _entry(model: Model) -> ModelEntry:
         objects=manifest.objects,
         max_objects=manifest.max_objects,
         frame_rate_hz=manifest.frame_rate_hz,
+        frame_rates_hz=manifest.frame_rates_hz,
         setup=None if manifest.setup is None else ModelSetup(**manifest.setup.model_dump()),
         frames=manifest.frames,
         final_step=manifest.final_step,

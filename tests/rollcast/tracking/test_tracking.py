@@ -116,12 +116,7 @@ def test_balls_of_one_colour_are_told_apart_by_where_they_go(tmp_path, finder):
 @pytest.mark.parametrize(
     "seed",
     [
-        pytest.param(
-            1,
-            marks=pytest.mark.xfail(
-                strict=True, reason="both balls are hidden at once, and one is lost afterwards"
-            ),
-        ),
+        1,
         pytest.param(
             2, marks=pytest.mark.xfail(strict=True, reason="clear balls are found in 96.6 %")
         ),

@@ -3,6 +3,7 @@
 import pytest
 
 from service.serving.registry import Model, Registry
+from tests.service.ball_samples import served_balls
 from tests.service.samples import body, moving_dot, parts, served
 
 
@@ -123,3 +124,30 @@ def test_auto_compares_errors_at_the_horizon_of_the_request(start):
     assert chosen == {5: "near", 10: "near", 30: "far", 60: "far"}
     without = client.post("/predict", json=body()).json()
     assert without["model"]["name"] == "far"
+
+
+@pytest.mark.parametrize(
+    ("fields", "name"),
+    [
+        ({}, "dot"),
+        ({"frame_rate": "40"}, "dot"),
+        ({"frame_rate": "41"}, "dot"),
+        ({"frame_rate": "30"}, "dots"),
+        ({"frame_rate": "120"}, "dots"),
+        ({"frame_rate": "5"}, "dot"),
+        ({"frame_rate": "30", "model": "dot"}, "dot"),
+        ({"frame_rate": "30", "final": True}, "between"),
+    ],
+)
+def test_auto_takes_the_model_that_is_told_the_rate(start, fields, name):
+    models = [served(), served(name="between", frames=5, final_step=9)]
+    client = start(lambda *_: Registry([*models, served_balls(frame_rates_hz=[15, 125])]))
+    data = {key: value for key, value in fields.items() if key != "final"}
+    final = "final" in fields
+    images = moving_dot(frames=5 if final else 4)
+    files = parts(images[:4])
+    if final:
+        files.append(("final_frame", ("f.png", images[4])))
+    response = client.post("/predict", files=files, data=data)
+    assert response.status_code == 200, response.text
+    assert response.json()["model"]["name"] == name

@@ -102,6 +102,33 @@ def test_batches_depend_on_their_number_alone(maker):
     assert ((second.there == 0) == second.radii.isnan()).all()
 
 
+@pytest.mark.parametrize("kind", ["paper", "filmed", "restyled"])
+@pytest.mark.parametrize("spacing", [0.4, 2.0])
+def test_frames_of_another_spacing_show_the_same_balls_at_other_times(maker, kind, spacing):
+    for seed in range(4):
+        usual = maker.window(np.random.default_rng(seed), kind, 100, 1.0)
+        other = maker.window(np.random.default_rng(seed), kind, 100, spacing)
+        assert other.spacing == spacing
+        assert np.allclose(other.places[:, 3], usual.places[:, 3], atol=1e-6)
+        assert np.array_equal(other.centres, usual.centres, equal_nan=True)
+        # Before the last frame the ball is as far back as it went in so many frames.
+        if kind == "paper" and spacing == 2.0:
+            assert np.allclose(other.places[:, 2], usual.places[:, 1], atol=1e-6)
+        if kind == "paper":
+            apart = np.abs(other.frames.astype(int) - usual.frames).mean(axis=(1, 2, 3))
+            assert apart[3] < 0.01  # but for the rounding of orientations
+            assert apart[0] > 0.05
+
+
+def test_streams_draw_spacings(maker):
+    source = [BallSource(maker, 1.0, 100)]
+    looks = BallLooks(paper=1, filmed=0, restyled=0, planar=0, other_rates=0.5)
+    batch = next(iter(BallStream(source, looks, 40, 7, 0)))
+    assert 8 < (batch.spacing != 1).sum() < 32
+    assert batch.spacing.min() > 0.3
+    assert batch.spacing.max() < 2.7
+
+
 def test_collated_balls_are_padded(maker):
     batch = collate([maker.at(0, 10), planar_window(np.random.default_rng(1))])
     assert batch.there.sum(dim=1)[0] == 1

@@ -44,6 +44,7 @@ def readings(windows: int, balls: int, *, known: bool = True) -> BallReadings:
         features=torch.zeros(windows, balls, 128),
         ground=torch.zeros(windows, 3, 32, 32),
         scene=torch.zeros(windows, 2),
+        spacing=torch.ones(windows),
         centres=centres,
         spins=torch.full((windows, balls, STEPS - 3, 3), torch.nan),
     )

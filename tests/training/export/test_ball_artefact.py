@@ -55,14 +55,16 @@ def test_the_service_proves_the_artefact_before_it_serves_it(models):
     assert model.status == "ready", model.reason
 
 
-@pytest.mark.parametrize("number", [1, 2, 5, 8])
-def test_the_service_answers_what_torch_computes(models, network, number):
+@pytest.mark.parametrize(("number", "rate"), [(1, 40), (2, 20), (5, 40), (8, 20)])
+def test_the_service_answers_what_torch_computes(models, network, number, rate):
     generator = np.random.default_rng(number)
     frames = generator.integers(0, 256, (4, 150, 200, 3), dtype=np.uint8)
     at = np.stack([generator.uniform(20, 180, number), generator.uniform(20, 130, number)], axis=1)
     finder = TorchFinder(network)
     balls, said = finder.find(frames, (at - (100, 75)) / 100)
-    expected = finder.forecast(balls, said, HORIZON)["positions"] * (200 / 128) - (0, 25)
+    spacing = 40 // rate
+    made = finder.forecast(balls, said, spacing * (HORIZON - 1) + 1, spacing)["positions"]
+    expected = made[:, ::spacing] * (200 / 128) - (0, 25)
     images = [io.BytesIO() for _ in frames]
     for image, frame in zip(images, frames, strict=True):
         Image.fromarray(frame).save(image, "PNG")
@@ -70,6 +72,7 @@ def test_the_service_answers_what_torch_computes(models, network, number):
         "frames": [base64.b64encode(image.getvalue()).decode() for image in images],
         "balls": [{"x": x, "y": y} for x, y in at.tolist()],
         "horizon": HORIZON,
+        "frame_rate": rate,
     }
     with TestClient(create_app(Settings(models_dir=models))) as client:
         wait_until_ready(client)

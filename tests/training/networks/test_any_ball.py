@@ -8,11 +8,12 @@ import torch
 
 from rollcast.patches import cut_patches as cut_in_numpy
 from training.export.load import any_ball_from, load_exported
-from training.networks.any_ball import AnyBallNet, SizedEncounters
+from training.networks.any_ball import AnyBallNet, SizedEncounters, seen_balls
 from training.networks.ball_detector import BallMaps, peaks, voted
 from training.networks.fieldnet import Ball
 from training.networks.patch_refiner import Outline, PatchRefiner, Registration
 from training.networks.patches import cut_patches, half_widths
+from training.networks.perception import FEATURES
 from training.networks.recurrent import State
 
 MODELS = Path(__file__).parents[3] / "models"
@@ -137,6 +138,29 @@ def test_balls_in_reach_do_matter(network):
         both = network.roll_out(state_of(apart, towards), 4).positions
         alone = network.roll_out(state_of(apart[:1], towards[:1]), 4).positions
     assert (both[0, 0, -1] - alone[0, 0, -1]).norm() > 1
+
+
+@pytest.mark.parametrize("spacing", [0.32, 2.5])
+def test_velocities_are_of_a_step_whatever_the_spacing_of_the_frames(spacing):
+    torch.manual_seed(3)
+    network = AnyBallNet()
+    torch.nn.init.normal_(network.unsure.weight)
+    with torch.no_grad():
+        network.eye.state[0].weight[:, -1] = 0  # what is learned of the spacing itself
+    back = torch.arange(-3.0, 1)[:, None] * torch.tensor([0.05, 0.02])
+    features, scene = torch.randn(1, 1, FEATURES), torch.zeros(1, 2)
+    log_sigmas = torch.tensor([[[-5.0, -4.0]]])
+
+    def begun(spacing: float, blur: float) -> State:
+        places = (torch.tensor([0.1, -0.2]) + spacing * back)[None, None]
+        sigmas = log_sigmas + torch.tensor([0.0, blur])
+        seen = seen_balls(places, torch.tensor([[0.1]]), places[..., 0], sigmas, features)
+        ground = 0.1 * torch.ones(1, 3, 32, 32)
+        return network.begin(seen, ground, scene, torch.tensor([spacing]))[0]
+
+    # A displacement that is known as well, relative to the time that it took.
+    usual, other = begun(1.0, 0.0), begun(spacing, float(np.log(spacing)))
+    assert torch.allclose(usual.p, other.p, atol=1e-4)
 
 
 def test_balls_of_other_sizes_touch_at_the_sum_of_their_radii():

@@ -12,6 +12,7 @@ def test_every_version_is_listed_with_its_status(client):
         "scenarios": ["hemisphere", "ellipsoid", "heightfield"],
         "objects": 1,
         "frame_rate_hz": 40.0,
+        "frame_rates_hz": None,
         "setup": None,
         "frames": 4,
         "max_objects": None,

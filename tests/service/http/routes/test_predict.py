@@ -13,6 +13,7 @@ def test_the_answer_has_every_field_of_the_design(client):
         "model": {"name": "dot", "version": 1, "variant": "dotnet", "trained_horizon": 20},
         "frame_size": [128, 128],
         "frame_rate": 40.0,
+        "step_rate": 40.0,
         "objects": [
             {
                 "id": 0,
@@ -181,3 +182,35 @@ def exploding():
     return type(model)(
         model.name, model.version, model.manifest, Exploding(model.manifest), card="#"
     )
+
+
+def test_steps_may_be_as_far_apart_as_is_asked(client):
+    usual = client.post("/predict", json=body(horizon=9)).json()
+    finer = client.post("/predict", json=body(horizon=17, step_rate=80)).json()
+    assert (usual["step_rate"], finer["step_rate"], finer["frame_rate"]) == (40, 80, 40)
+    assert finer["times_s"][::2] == pytest.approx(usual["times_s"])
+    path, fine = (np.array(told["objects"][0]["positions"]) for told in (usual, finer))
+    assert np.array_equal(fine[::2], path)
+    assert np.allclose(fine[1::2], (path[1:] + path[:-1]) / 2, atol=1e-3)
+    covariances = np.array(finer["objects"][0]["covariances"])
+    assert (np.linalg.eigvalsh(covariances) > 0).all()
+
+
+def test_a_final_frame_fixes_the_times_of_the_steps(client):
+    images = moving_dot(frames=5)
+    answer = client.post(
+        "/predict",
+        files=[*parts(images[:4]), ("final_frame", ("f.png", images[4]))],
+        data={"step_rate": "80"},
+    )
+    assert answer.status_code == 422
+    assert answer.json()["field"] == "step_rate"
+    assert "40, the frames a second" in answer.json()["detail"]
+
+
+def test_steps_are_not_so_far_apart_that_a_forecast_never_ends(client):
+    answer = client.post("/predict", json=body(horizon=1000, step_rate=1))
+    assert answer.status_code == 422
+    assert answer.json()["field"] == "horizon"
+    assert "at most 100" in answer.json()["detail"]
+    assert client.post("/predict", json=body(horizon=100, step_rate=1)).status_code == 200

@@ -216,3 +216,57 @@ def test_the_former_name_of_the_number_is_read(client):
     both = client.post("/predict", json={**asked, "num_objects": 2})
     assert both.status_code == 422
     assert "objects" in both.json()["detail"]
+
+
+@pytest.fixture
+def at_any_rate(start):
+    knows = served_balls(frame_rates_hz=[15, 125], trained_horizon=40)
+    return start(lambda *_: Registry([served(), knows]))
+
+
+@pytest.mark.parametrize("rate", [15, 24, 30, 60, 120])
+def test_balls_go_on_by_as_much_a_frame_at_every_rate(at_any_rate, rate):
+    told = ask(at_any_rate, paths((40, 50)), frame_rate=rate, horizon=9)
+    assert told["model"]["name"] == "dots", "the model that is told the rate"
+    assert told["warnings"] == []
+    assert told["times_s"] == pytest.approx(np.arange(9) / rate)
+    (ball,) = told["objects"]
+    expected = np.array([40, 50]) + np.arange(9)[:, None] * STEP
+    assert np.allclose(ball["positions"], expected, atol=1.5)
+    ways = np.diff(ball["positions"], axis=0)
+    assert np.allclose(ways, ways[0], atol=1e-3)
+    assert np.allclose(ball["alternative"]["positions"], expected, atol=1.5)
+
+
+def test_a_stream_has_the_steps_of_the_whole_answer_at_every_rate(at_any_rate):
+    images = files(dots(paths((40, 50)), 128, 128))
+    for rate in (24, 90):
+        fields = {"frame_rate": rate, "horizon": 7, "model": "dots"}
+        whole = at_any_rate.post("/predict", json=body(images, **fields)).json()
+        streamed = at_any_rate.post("/predict/stream", json=body(images, **fields))
+        steps = [
+            json.loads(line[5:])
+            for line in streamed.text.splitlines()
+            if line.startswith("data:") and "time_s" in line
+        ]
+        assert [step["step"] for step in steps] == list(range(7))
+        assert [step["time_s"] for step in steps] == whole["times_s"]
+        (ball,) = whole["objects"]
+        assert [step["objects"][0]["position"] for step in steps] == ball["positions"]
+
+
+def test_rates_that_the_model_was_not_taught_are_named(at_any_rate):
+    told = ask(at_any_rate, paths((40, 50)), model="dots", frame_rate=5, horizon=2)
+    (warning,) = told["warnings"]
+    assert "5 a second" in warning
+    assert "15 to 125" in warning
+
+
+def test_kinematic_forecasts_have_the_steps_that_are_asked(at_any_rate):
+    fields = {"model": "dots", "frame_rate": 30}
+    usual = ask(at_any_rate, paths((40, 50)), horizon=5, **fields)["objects"][0]
+    finer = ask(at_any_rate, paths((40, 50)), horizon=9, step_rate=60, **fields)["objects"][0]
+    assert np.allclose(finer["positions"][::2], usual["positions"], atol=1e-3)
+    other, finer_other = (ball["alternative"]["positions"] for ball in (usual, finer))
+    assert np.allclose(finer_other[::2], other, atol=1e-3)
+    assert np.allclose(finer_other[1::2], np.array(other[1:]) - STEP / 2, atol=0.1)
