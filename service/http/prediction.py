@@ -181,7 +181,7 @@ class _Forecast(ABC):
             raise InvalidValueError.at("step_rate", self._step_rate, expected)
         if times.rollout_horizon > LONGEST_ROLLOUT:
             most = 1 + int((LONGEST_ROLLOUT - 1) / times.spacing)
-            expected = f"at most {most}, so few steps a second"
+            expected = f"at most {most} at {self._step_rate:g} steps a second"
             raise InvalidValueError.at("horizon", self._horizon, expected)
         return times
 

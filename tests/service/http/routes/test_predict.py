@@ -212,5 +212,5 @@ def test_steps_are_not_so_far_apart_that_a_forecast_never_ends(client):
     answer = client.post("/predict", json=body(horizon=1000, step_rate=1))
     assert answer.status_code == 422
     assert answer.json()["field"] == "horizon"
-    assert "at most 100" in answer.json()["detail"]
+    assert "at most 100 at 1 steps a second" in answer.json()["detail"]
     assert client.post("/predict", json=body(horizon=100, step_rate=1)).status_code == 200
