@@ -30,6 +30,7 @@ from training.recipes.sighted import (
     sighted_one_ball_further,
     sighted_several_balls,
     sighted_several_balls_between,
+    sighted_several_balls_further,
 )
 from training.recipes.tiny import tiny
 
@@ -57,6 +58,8 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "sighted-one-ball-between": sighted_one_ball_between,
     "sighted-2-balls": partial(sighted_several_balls, 2),
     "sighted-3-balls": partial(sighted_several_balls, 3),
+    "sighted-2-balls-further": partial(sighted_several_balls_further, 2),
+    "sighted-3-balls-further": partial(sighted_several_balls_further, 3),
     "sighted-2-balls-between": partial(sighted_several_balls_between, 2),
     "sighted-3-balls-between": partial(sighted_several_balls_between, 3),
     "paper-posnet": paper_posnet,

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from training.data.windows import generated_horizon
 from training.networks.task import Task
 from training.recipes.compact import (
     one_ball,
@@ -40,15 +41,26 @@ def sighted_one_ball_further() -> Recipe:
     Trained for 20 steps, they lose the ball in a bowl soon after: 9 px at T = 40, where the
     same state can follow it (docs/experiments.md). The perception stays frozen.
     """
-    recipe = sighted_one_ball()
-    data = tuple(replace(part, scenes=min(part.scenes, 1600)) for part in recipe.data)
-    horizons = (Milestone(0, 20), Milestone(0.3, 40))
+    return _further(sighted_one_ball(), sequences=48_000)
+
+
+def sighted_several_balls_further(objects: int) -> Recipe:
+    """Train PosNet, DispNet and ProbNet of sighted-2-balls or -3-balls (``--init``) up to T_gen."""
+    return _further(sighted_several_balls(objects), sequences=24_000)
+
+
+def _further(recipe: Recipe, sequences: int) -> Recipe:
+    """Return a recipe that continues to the longest horizon that the paper reports."""
+    horizons = (
+        Milestone(0, recipe.trained_horizon),
+        Milestone(0.3, generated_horizon(recipe.task.objects)),
+    )
     assert recipe.explicit is not None
     return replace(
         recipe,
-        name="sighted-one-ball-further",
-        data=data,
-        sequences=48_000,
+        name=f"{recipe.name}-further",
+        data=tuple(replace(part, scenes=min(part.scenes, 1600)) for part in recipe.data),
+        sequences=sequences,
         curriculum=horizons,
         explicit=replace(recipe.explicit, curriculum=horizons),
         learning_rate=8e-4,

@@ -122,7 +122,8 @@ def _table_by_scenes(study: Study, results: Results) -> str:
             " / ".join(f"{cell.position_error_px:.1f}" if cell else MISSING for cell in of_method)
             for of_method in cells
         ]
-        number = next((str(cell.test_sequences) for row in cells for cell in row if cell), "-")
+        numbers = [cell.test_sequences for row in cells for cell in row if cell]
+        number = _range(numbers) if numbers else "-"
         lines.append((_scenes(case), number, *errors))
     return table(("scenes", "number", *methods), lines)
 

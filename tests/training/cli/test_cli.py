@@ -19,8 +19,8 @@ from training.recipes.tiny import tiny
 COMMANDS = {
     "simulate", "check-world", "train", "dry-run", "plot-run", "auto-train", "evaluate",
     "error-breakdown", "export", "quantise", "fit-ood", "setup", "real", "real-clips",
-    "tracked-clips", "perturbations", "study", "report", "train-balls", "train-encounters",
-    "train-ball-motion", "export-balls",
+    "tracked-clips", "perturbations", "frame-rates", "study", "report", "train-balls",
+    "train-encounters", "train-ball-motion", "export-balls",
 }  # fmt: skip
 
 
