@@ -343,6 +343,11 @@ def _spacing(
     distance_s = usual_distance(times_s)
     spacing_s = max(1, round(1 / (frame_rate * distance_s))) * distance_s
     is_near = abs(spacing_s * frame_rate - 1) <= RATE_TOLERANCE
-    lowest, highest = told_rates or (math.inf, 0)
-    is_told = lowest <= 1 / spacing_s <= highest
+    is_told = told_rates is not None and is_among(1 / spacing_s, told_rates)
     return spacing_s if is_near or is_told else 1 / frame_rate
+
+
+def is_among(frame_rate: float, rates: tuple[float, float]) -> bool:
+    """Return whether a rate is among those that a model is told, to RATE_TOLERANCE."""
+    lowest, highest = rates
+    return lowest * (1 - RATE_TOLERANCE) <= frame_rate <= highest * (1 + RATE_TOLERANCE)

@@ -429,7 +429,10 @@ class AsyncClient:
             return await to_thread(make, frames, final_frame, options)
         name = named_model(options)
         models = await self.models() if name is None else [await self.model(*name)]
-        seen, rest, warnings = await to_thread(read_clip, frames, options, models)
+        final = final_frame is not None
+        seen, rest, warnings = await to_thread(
+            read_clip, frames, options, models, final_frame=final
+        )
         return await to_thread(make, seen, final_frame, rest, warnings)
 
     async def _run(self, call: Call[T]) -> T:

@@ -30,7 +30,7 @@ def named_model(options: ForecastOptions) -> tuple[str, int | None] | None:
 
 
 def read_clip(
-    clip: Clip, options: ForecastOptions, models: Sequence[ModelEntry]
+    clip: Clip, options: ForecastOptions, models: Sequence[ModelEntry], *, final_frame: bool
 ) -> tuple[Frames, ForecastOptions, tuple[str, ...]]:
     """Read four frames at the rate and crop of a model.
 
@@ -42,6 +42,8 @@ def read_clip(
         Options of the forecast: ``start_s`` and ``frame_rate`` say which frames are read.
     models
         The requested model, whose frame rate and crop are used; all of the service for "auto".
+    final_frame
+        Whether a final frame goes along; no model that reads one is told the rate.
 
     Returns
     -------
@@ -62,7 +64,7 @@ def read_clip(
     model = None if named_model(options) is None else models[0]
     asked = options.get("frame_rate")
     rate = asked or (model and model.frame_rate_hz) or FRAME_RATE_HZ
-    told = told_rates(models) if asked is None else None
+    told = told_rates(models) if asked is None and not final_frame else None
     balls = options.get("balls")
     whole = (balls is not None or takes_any(model)) and options.get("crop") is None
     crop = WholePicture() if whole else setup_crop(model)
@@ -75,8 +77,12 @@ def read_clip(
 
 
 def told_rates(models: Sequence[ModelEntry]) -> tuple[float, float] | None:
-    """Return the rates of frames that one of some models is told, None if none is told them."""
-    known = (model for model in models if model.status == "ready" and model.default)
+    """Return the rates of frames that one of some models is told, None if none is told them.
+
+    Of several models, "auto" chooses among the default versions.
+    """
+    ready = [model for model in models if model.status == "ready"]
+    known = ready if len(models) == 1 else [model for model in ready if model.default]
     return next((model.frame_rates_hz for model in known if model.frame_rates_hz), None)
 
 

@@ -431,7 +431,8 @@ class Client:
             return to_thread(make, frames, final_frame, options)
         name = named_model(options)
         models = self.models() if name is None else [self.model(*name)]
-        seen, rest, warnings = to_thread(read_clip, frames, options, models)
+        final = final_frame is not None
+        seen, rest, warnings = to_thread(read_clip, frames, options, models, final_frame=final)
         return to_thread(make, seen, final_frame, rest, warnings)
 
     def _run(self, call: Call[T]) -> T:

@@ -6,8 +6,14 @@ from typing import Annotated
 
 import typer
 
-from rollcast.client import Client
-from rollcast.client.clips import blend_warnings, setup_crop, takes_any, told_rates
+from rollcast.client.calls import ForecastOptions
+from rollcast.client.clips import (
+    blend_warnings,
+    named_model,
+    setup_crop,
+    takes_any,
+    told_rates,
+)
 from rollcast.client.prompts import moved
 from rollcast.commands.options import (
     Balls,
@@ -30,7 +36,7 @@ from rollcast.commands.progress import waiting
 from rollcast.commands.reading import frame_of_step, read
 from rollcast.footage import WholePicture
 from rollcast.scene import MAX_BALLS, Domain
-from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON, ModelEntry
+from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON
 from rollcast.trajectory import FRAME_RATE_HZ
 
 HELP = """\
@@ -118,7 +124,9 @@ def predict(
     if horizon is None:
         horizon = DEFAULT_HORIZON if final is None else final + 1
     with client(context, url) as service, waiting("waiting for the service"):
-        known, models = _known(service, model)
+        name = named_model(ForecastOptions(model=model))
+        models = service.models() if name is None else [service.model(*name)]
+        known = None if name is None else models[0]
         known_rate = (known and known.frame_rate_hz) or FRAME_RATE_HZ
         known_crop = WholePicture() if ball or takes_any(known) else setup_crop(known)
         told = told_rates(models) if final is None else None
@@ -145,12 +153,3 @@ def predict(
     text = forecast_text(observed, forecast, warnings, form)
     drawing = None if out is None else partial(draw, out, observed, later_frames, forecast, slower)
     return Outcome(text, warnings if form == "csv" else (), finish=drawing)
-
-
-def _known(service: Client, model: str) -> tuple[ModelEntry | None, list[ModelEntry]]:
-    """Return a model, None for "auto", and the models that may answer."""
-    if model == AUTO_MODEL:
-        return None, service.models()
-    name, _, version = model.partition("@")
-    known = service.model(name, int(version) if version.isdecimal() else None)
-    return known, [known]

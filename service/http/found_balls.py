@@ -41,6 +41,8 @@ class RequestBalls:
         Number of balls, or None.
     spacing
         Time between two frames, in steps of the model.
+    steps
+        Times of the forecast's steps after the last frame, in frames.
 
     Raises
     ------
@@ -55,6 +57,7 @@ class RequestBalls:
         prompts: Sequence[BallPrompt] | None,
         objects: int | None,
         spacing: float,
+        steps: Float[np.ndarray, " T"],
     ) -> None:
         self.box = Letterbox(*frames.shape[1:3])
         points, radii = (None, None) if prompts is None else _points(prompts, self.box)
@@ -66,6 +69,7 @@ class RequestBalls:
         self._level_steps = math.ceil(LEVEL_STEPS / spacing)
         # Changes of velocity are random: their variances add up.
         self._acceleration_ratio = source.acceleration_ratio * math.sqrt(spacing)
+        self._kinematic = self._path(steps)
 
     @property
     def count(self) -> int:
@@ -78,23 +82,16 @@ class RequestBalls:
         side = self.box.side
         return (side - self.box.width) / 2, (side - self.box.height) / 2
 
-    def kinematic(self, network: Forecast, first_step: int, spacing: float) -> Forecast:
+    def kinematic(self, network: Forecast, first_step: int) -> Forecast:
         """Return the kinematic forecast of the steps of the network's, pixels of 128.
 
         Like the network's, its errors are heavy-tailed: the covariances hold 95 % of them, and the
         network's radius, smaller than a Gaussian's, half.
-
-        Parameters
-        ----------
-        spacing
-            Time between two steps, in frames.
         """
-        count = network.positions.shape[2]
-        steps = np.arange(first_step, first_step + count, dtype=np.float64)
-        path = self._path(spacing * steps)
+        steps = slice(first_step, first_step + network.positions.shape[2])
         return network.having(
-            positions=path.positions[None].astype(np.float32),
-            covariances=path.covariances[None].astype(np.float32),
+            positions=self._kinematic.positions[None, :, steps].astype(np.float32),
+            covariances=self._kinematic.covariances[None, :, steps].astype(np.float32),
         )
 
     def _path(self, steps: Float[np.ndarray, " T"]) -> KinematicForecast:

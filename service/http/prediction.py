@@ -73,6 +73,7 @@ class _Forecast(ABC):
 
     request: PredictRequest
     manifest: Manifest
+    _times: StepTimes
 
     def __init__(
         self,
@@ -88,7 +89,6 @@ class _Forecast(ABC):
         self._size = (0, 0)
         self._balls: RequestBalls | None = None
         self._details: list[BallDetails] = []
-        self._times = StepTimes(1.0, 1)
         self._number: int | None = None
         """Balls that the request names or prompts."""
         self._floor: CovarianceFloor | None = None
@@ -215,8 +215,9 @@ class _Forecast(ABC):
         frames = opened.decode_whole()
         self._stages.begin("encode")
         self._size = (frames.shape[2], frames.shape[1])
+        steps = np.arange(self._horizon) * (self._rate / self._step_rate)
         self._balls = balls = RequestBalls(
-            predictor, frames, request.balls, self._number, self._spacing
+            predictor, frames, request.balls, self._number, self._spacing, steps
         )
         seen = frame_stats(balls.found.said["square"])
         self._limits = doubts(predictor, self._horizon, self._rate, seen)
@@ -286,8 +287,7 @@ class _Forecast(ABC):
         network = self._floor.apply(made, first_step)
         if self._balls is None:
             return network, None
-        in_frames = self._rate / self._step_rate
-        kinematic = self._balls.kinematic(network, first_step, in_frames)
+        kinematic = self._balls.kinematic(network, first_step)
         by_kinematics = np.array([ball.motion == "kinematic" for ball in self._details])
         return network.mixed(kinematic, by_kinematics), kinematic.mixed(network, by_kinematics)
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rollcast.footage import RATE_TOLERANCE
+from rollcast.footage import is_among
 from rollcast.manifest import Manifest
 from rollcast.outputs import SPECS
 from rollcast.rollout import Outputs
@@ -12,10 +12,8 @@ from rollcast.rollout import Outputs
 
 def reads_rate(manifest: Manifest, frame_rate: float) -> bool:
     """Return whether a model is told the rate of frames that are so many a second."""
-    if manifest.frame_rates_hz is None:
-        return False
-    lowest, highest = manifest.frame_rates_hz
-    return lowest * (1 - RATE_TOLERANCE) <= frame_rate <= highest * (1 + RATE_TOLERANCE)
+    rates = manifest.frame_rates_hz
+    return rates is not None and is_among(frame_rate, rates)
 
 
 def frame_spacing(manifest: Manifest, frame_rate: float) -> float:

@@ -4,6 +4,7 @@ import av
 import numpy as np
 import pytest
 
+from rollcast.client.clips import told_rates
 from rollcast.client.images import encoded
 from rollcast.client.testing import FakeService
 from rollcast.errors import FootageError, InvalidArgumentError
@@ -95,6 +96,24 @@ def test_a_rate_that_is_asked_for_is_blended(client, tmp_path):
     video = written(tmp_path / "clip.mp4", rate=30)
     forecast = client(ToldItsRate()).predict(video, horizon=3, frame_rate=40)
     assert "no frames 40 a second apart" in forecast.warnings[0]
+
+
+def test_a_clip_with_a_final_frame_is_read_for_models_that_are_not_told_the_rate(client, tmp_path):
+    video = written(tmp_path / "clip.mp4", rate=30)
+    service = ToldItsRate()
+    final = np.full((SIDE, SIDE, 3), 90, np.uint8)
+    forecast = client(service).predict(video, final_frame=final, horizon=3)
+    assert "no frames 40 a second apart" in forecast.warnings[0]
+    assert float(service.asked[-1].fields["frame_rate"]) == pytest.approx(40)
+
+
+def test_a_named_version_is_told_its_rate_and_auto_asks_default_ones(client):
+    (entry,) = client(FakeService()).models()
+    told = entry.model_copy(update={"frame_rates_hz": (15.0, 125.0), "default": False})
+    assert told_rates([told]) == (15, 125)
+    assert told_rates([told, entry]) is None
+    unloaded = told.model_copy(update={"default": True, "status": "unloaded"})
+    assert told_rates([unloaded, entry]) is None
 
 
 def test_a_model_says_how_its_videos_are_read(client, clip):

@@ -81,7 +81,8 @@ def test_frames_that_no_camera_took_are_blended(tmp_path, rate):
 
 
 @pytest.mark.parametrize(
-    ("rate", "every"), [(15, 1), (24, 1), (29.97, 1), (50, 1), (60, 2), (100, 2), (240, 6)]
+    ("rate", "every"),
+    [(14.5, 1), (15, 1), (24, 1), (29.97, 1), (50, 1), (60, 2), (100, 2), (240, 6)],
 )
 def test_a_model_that_is_told_the_rate_gets_the_frames_that_were_taken(tmp_path, rate, every):
     video = write_video(tmp_path / "clip.mp4", even(rate, frames=58))
