@@ -348,6 +348,6 @@ def _spacing(
 
 
 def is_among(frame_rate: float, rates: tuple[float, float]) -> bool:
-    """Return whether a rate is among those that a model is told, to RATE_TOLERANCE."""
+    """Return whether a rate lies between two others, or is as good as one, to RATE_TOLERANCE."""
     lowest, highest = rates
     return lowest * (1 - RATE_TOLERANCE) <= frame_rate <= highest * (1 + RATE_TOLERANCE)

@@ -1,6 +1,6 @@
 """Reasons to trust a forecast less, in words for people."""
 
-from rollcast.footage import RATE_TOLERANCE
+from rollcast.footage import is_among
 from rollcast.manifest import Manifest, PlaceUncertainty
 from rollcast.ood import FrameStats
 from service.inference.rollout import Predictor
@@ -75,7 +75,7 @@ def _of_horizon(manifest: Manifest, horizon: int, spacing: float) -> list[str]:
 
 def _of_rate(manifest: Manifest, given: float) -> list[str]:
     rate = manifest.frame_rate_hz
-    if abs(given - rate) <= RATE_TOLERANCE * rate or reads_rate(manifest, given):
+    if is_among(given, (rate, rate)) or reads_rate(manifest, given):
         return []
     if manifest.frame_rates_hz is not None:
         lowest, highest = manifest.frame_rates_hz

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from rollcast.footage import RATE_TOLERANCE
+from rollcast.footage import is_among
 from rollcast.manifest import Manifest
 from rollcast.scene import Domain
 from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON
@@ -237,9 +237,7 @@ def _suitable(peers: Sequence[Predictor], query: ModelQuery) -> list[Predictor]:
 def _reads_other_rate(manifest: Manifest, query: ModelQuery) -> bool:
     """Tell whether frames have another rate than the usual one, which a model is told."""
     rate, usual = query.frame_rate, manifest.frame_rate_hz
-    if rate is None or abs(rate - usual) <= RATE_TOLERANCE * usual:
-        return False
-    return reads_rate(manifest, rate)
+    return rate is not None and not is_among(rate, (usual, usual)) and reads_rate(manifest, rate)
 
 
 def _one_of(labels: Iterable[str]) -> str:

@@ -158,11 +158,8 @@ def perturbations(
     sets = evaluation_sets(BOWLS_AND_HEIGHTFIELDS, 1, None, "test", scenes, workers)
     with Client(url) as service:
         measured = list(measure_perturbations(service, sets, model))
-    text = results_table(measured)
-    if page:
-        filled = PERTURBATIONS_PAGE.format(model=model, scenes=scenes, table=text)
-        _write_page("perturbations", filled)
-    typer.echo(text)
+    page_text = PERTURBATIONS_PAGE if page else None
+    _tell("perturbations", results_table(measured), page_text, model, scenes)
 
 
 def frame_rates(
@@ -178,10 +175,14 @@ def frame_rates(
     with Client(url) as service:
         made = measure_frame_rates(service, BOWLS_AND_HEIGHTFIELDS, scenes, workers, model)
         measured = list(made)
-    text = rates_table(measured)
-    if page:
-        filled = FRAME_RATES_PAGE.format(model=model, scenes=scenes, table=text)
-        _write_page("frame-rates", filled)
+    page_text = FRAME_RATES_PAGE if page else None
+    _tell("frame-rates", rates_table(measured), page_text, model, scenes)
+
+
+def _tell(name: str, text: str, page_text: str | None, model: str, scenes: int) -> None:
+    """Print the table of a running service, and write its page if there is a text for it."""
+    if page_text is not None:
+        _write_page(name, page_text.format(model=model, scenes=scenes, table=text))
     typer.echo(text)
 
 

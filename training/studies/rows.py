@@ -25,8 +25,8 @@ and whether the validation error had stopped falling. The paper's networks were 
 million sequences. Rows named "compact-" have the paper's heads and supervision, but not its VGG16;
 rows of one table with the same supervision share the encoder, the state and the angular velocity,
 so that their errors of the angular velocity are one figure. Rows with a version ("posnet@1") are
-the committed models, which were trained with more supervision than the paper's. Balls have a radius
-of 0.225 m, one of the paper's two. The page
+the committed models, which were trained with more supervision than the paper's and, with one ball,
+up to T = 40. Balls have a radius of 0.225 m, one of the paper's two. The page
 [what we reproduced](../reproduced.md#differences-from-the-paper) lists what else differs from the
 paper."""
 """Caption shared by the tables of methods."""
