@@ -147,7 +147,7 @@ def conventions() -> Figure:
 
 
 def ground() -> Figure:
-    """Draw the map that FieldNet's eye draws of the ground beside the true one."""
+    """Draw the map that FieldNet's perception estimates of the ground beside the true one."""
     predictor = _predictor(ModelQuery("fieldnet"))
     figure = Figure(figsize=(8.4, 4.9), layout="constrained")
     rows = figure.subplots(2, 3)
@@ -169,9 +169,7 @@ def ground() -> Figure:
         off = np.nanmean(np.abs(read - true))
         row[2].set_xlabel(f"off by {off:.1f} cm on average")
         row[0].set_ylabel(scenario)
-    for axes, name in zip(
-        rows[0], ("last frame seen", "true ground", "as the eye read it"), strict=True
-    ):
+    for axes, name in zip(rows[0], ("last frame seen", "true ground", "as perceived"), strict=True):
         axes.set_title(name)
     return figure
 

@@ -25,8 +25,8 @@ from rollcast.outputs import SPECS, OutputName
 from rollcast.scene import COLORS, MAX_BALLS, MAX_FORECAST_OBJECTS, BallColor, Domain, Scenario
 from rollcast.trajectory import OBSERVED_FRAMES
 
-EYE_FILE = "eye.onnx"
-"""Of networks with an eye: what it reads of the frames. Equal files are loaded once."""
+PERCEPTION_FILE = "perception.onnx"
+"""Perception graph of networks that have one. Equal files are loaded once."""
 ENCODER_FILE = "encoder.onnx"
 STEP_FILE = "step.onnx"
 MANIFEST_FILE = "manifest.json"
@@ -277,7 +277,7 @@ class Manifest(_Part):
         if (self.kinematic is None) != (self.max_objects is None):
             raise ValueError("kinematic belongs to models with max_objects")
         files = set(HASHED_FILES if self.max_objects is None else BALL_FILES)
-        if set(self.files) - {EYE_FILE, FAMILIARITY_FILE} != files:
+        if set(self.files) - {PERCEPTION_FILE, FAMILIARITY_FILE} != files:
             raise ValueError(f"files are {sorted(self.files)}, expected {sorted(files)}")
         if (self.setup is not None) != ("footage" in self.scenarios):
             raise ValueError(f"setup belongs to footage, the scenarios are {self.scenarios}")

@@ -12,10 +12,10 @@ from loky import cpu_count
 
 from rollcast.manifest import (
     ENCODER_FILE,
-    EYE_FILE,
     FAMILIARITY_FILE,
     FRAMES_INPUT,
     NEXT_PREFIX,
+    PERCEPTION_FILE,
     STEP_FILE,
     Manifest,
 )
@@ -30,12 +30,12 @@ from service.settings import CPU_PROVIDER, keep_runtime_silent
 keep_runtime_silent()
 import onnxruntime  # noqa: E402
 
-CORES_OF_AN_EYE = min(2, cpu_count())
+PERCEPTION_CORES = min(2, cpu_count())
 """Cores that may see the frames of one request: more were not measured (decision 0113)."""
 
 
-class _Eye:
-    """An eye's graph for one core, and for as many as it may have: the same bits.
+class _SharedPerception:
+    """A perception graph opened for one core and, on demand, for two: the outputs are equal.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class _Eye:
         # Not the file: it may be another one when it is opened again.
         self._graph = path.read_bytes()
         self._provider = provider
-        self._unhelped = self._helped = _session(self._graph, provider, reuse=True)
+        self._one_core = self._two_cores = _session(self._graph, provider, reuse=True)
         self._again = Lock()
 
     def session(self, two_cores: bool) -> onnxruntime.InferenceSession:
@@ -57,19 +57,19 @@ class _Eye:
         if (
             two_cores
             and self._graph
-            and CORES_OF_AN_EYE > 1
+            and PERCEPTION_CORES > 1
             and self._provider == CPU_PROVIDER
             and self._again.acquire(blocking=False)
         ):
-            Thread(target=self._open_helped, name="opens an eye", daemon=True).start()
-        return self._helped if two_cores else self._unhelped
+            Thread(target=self._open_two_cores, name="opens perception", daemon=True).start()
+        return self._two_cores if two_cores else self._one_core
 
-    def _open_helped(self) -> None:
-        helped = _session(self._graph, self._provider, CORES_OF_AN_EYE, reuse=True)
-        self._helped, self._graph = helped, b""
+    def _open_two_cores(self) -> None:
+        helped = _session(self._graph, self._provider, PERCEPTION_CORES, reuse=True)
+        self._two_cores, self._graph = helped, b""
 
 
-_eyes: WeakValueDictionary[str, _Eye] = WeakValueDictionary()
+_perceptions: WeakValueDictionary[str, _SharedPerception] = WeakValueDictionary()
 _opening = Lock()
 
 
@@ -92,10 +92,10 @@ class OnnxPredictor:
         self.manifest = manifest
         known = manifest.unfamiliar is not None
         self.familiarity = Familiarity.read(folder / FAMILIARITY_FILE) if known else None
-        eye = manifest.files.get(EYE_FILE)
-        self._eye = None if eye is None else _shared_eye(folder / EYE_FILE, eye, provider)
-        # Behind an eye it is small sums, which optimising makes no faster; it takes half the load.
-        self._encoder = _session(folder / ENCODER_FILE, provider, optimised=eye is None)
+        path, digest = folder / PERCEPTION_FILE, manifest.files.get(PERCEPTION_FILE)
+        self._perception = None if digest is None else _shared_perception(path, digest, provider)
+        # After perception it is small sums: optimising takes half the load and makes none faster.
+        self._encoder = _session(folder / ENCODER_FILE, provider, optimised=digest is None)
         self._read = [one.name for one in self._encoder.get_inputs()]
         self._step = _session(folder / STEP_FILE, provider)
         self._state = [tensor.name for tensor in manifest.state]
@@ -108,10 +108,10 @@ class OnnxPredictor:
         self, frames: UInt8[np.ndarray, "B K 128 128 3"], *, two_cores: bool = False
     ) -> Step:
         """Return the first state and the outputs of step t = 0; a second core may help."""
-        if self._eye is None:
+        if self._perception is None:
             seen = {FRAMES_INPUT: frames}
         else:
-            seen = run_perception(self._eye.session(two_cores).run, self._read, frames)
+            seen = run_perception(self._perception.session(two_cores).run, self._read, frames)
         return self._as_step(self._encoder.run(self._encoded, seen), self._first)
 
     def advance(self, state: Arrays) -> Step:
@@ -149,13 +149,13 @@ def check_provider(provider: str) -> None:
         )
 
 
-def _shared_eye(path: Path, digest: str, provider: str) -> _Eye:
-    """Open an eye, unless one with the same sha256 is open."""
+def _shared_perception(path: Path, digest: str, provider: str) -> _SharedPerception:
+    """Open an perception, unless one with the same sha256 is open."""
     with _opening:
-        eye = _eyes.get(digest)
-        if eye is None:
-            eye = _eyes[digest] = _Eye(path, provider)
-        return eye
+        shared = _perceptions.get(digest)
+        if shared is None:
+            shared = _perceptions[digest] = _SharedPerception(path, provider)
+        return shared
 
 
 def _session(
@@ -177,7 +177,7 @@ def _session(
     if not optimised:
         options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     # Thousands of sums with a few numbers each need not share memory: planning it takes half the
-    # load of an encoder, and a step is a sixteenth faster without. The pictures of an eye do.
+    # load of an encoder, and a step is a sixteenth faster without. The images of perception do.
     options.enable_mem_reuse = reuse
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1

@@ -21,7 +21,7 @@ CORES = len(os.sched_getaffinity(0))
 OUTPUTS = ("positions", "covariances", "angular_velocities")
 
 
-def _opened(graph: Literal["eye", "encoder", "step"]) -> onnxruntime.InferenceSession:
+def _opened(graph: Literal["perception", "encoder", "step"]) -> onnxruntime.InferenceSession:
     """Open a graph of MODEL on one thread."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
@@ -32,10 +32,10 @@ def _opened(graph: Literal["eye", "encoder", "step"]) -> onnxruntime.InferenceSe
 
 
 class BareLoop:
-    """Eye and encoder once, step HORIZON - 1 times; one thread."""
+    """Perception and encoder once, step HORIZON - 1 times; one thread."""
 
     def __init__(self) -> None:
-        self._eye = _opened("eye")
+        self._perception = _opened("perception")
         self._encoder = _opened("encoder")
         self._step = _opened("step")
         self._state = [one.name for one in self._step.get_inputs()]
@@ -52,7 +52,7 @@ class BareLoop:
 
     def encode(self, images: np.ndarray) -> dict[str, np.ndarray]:
         """State and outputs of the first step."""
-        read = self._eye.run(self._read, {"frames": images})
+        read = self._perception.run(self._read, {"frames": images})
         seen = dict(zip(self._read, read, strict=True))
         return dict(zip(self._first, self._encoder.run(None, seen), strict=True))
 

@@ -17,7 +17,7 @@ from tests.docs.blocks import ROOT
 
 BANNED = re.compile(
     r"\b(somebody|nobody|whoever|everybody|may ask|what is asked|who asks|siblings|patience|crew"
-    r"|doubts?|the eye|stays put|half radi(us|i)|rig-\w+)\b",
+    r"|doubts?|eyes?|stays put|half radi(us|i)|rig-\w+)\b",
     re.IGNORECASE,
 )
 """Words of a private language, and people in place of components."""

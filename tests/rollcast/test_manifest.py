@@ -5,7 +5,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from rollcast.manifest import EYE_FILE, FAMILIARITY_FILE, HASHED_FILES, MANIFEST_FILE, Manifest
+from rollcast.manifest import (
+    FAMILIARITY_FILE,
+    HASHED_FILES,
+    MANIFEST_FILE,
+    PERCEPTION_FILE,
+    Manifest,
+)
 
 FIELDS = {
     "format_version": 1,
@@ -79,7 +85,7 @@ def test_what_is_written_is_read_back(tmp_path_factory, version, scale, error, t
 
 
 def test_an_artefact_may_have_an_eye():
-    files = dict.fromkeys((EYE_FILE, *HASHED_FILES), 64 * "a")
+    files = dict.fromkeys((PERCEPTION_FILE, *HASHED_FILES), 64 * "a")
     assert Manifest.model_validate(FIELDS | {"files": files}).files == files
 
 

@@ -4,7 +4,7 @@ from rollcast.perception_io import FINALS, PLACES, run_perception
 
 
 def brightness(wanted, seen):
-    """An eye that reads the brightness of every frame, and says the last one as the place."""
+    """Return the brightness of every frame, and that of the last one as the position."""
     level = seen["frames"][:, :, 0, 0, 0].astype(np.float32)
     said = {"all": level, PLACES: level[:, -1:]}
     return [said[name] for name in wanted]

@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader
 
 from rollcast.scene import Scenario
 from training.cli.options import CORES, MODELS, TestScenes, Workers, failed
-from training.common.run_folder import BEST, read_best
+from training.common.run_folder import BEST, read_best, read_whole
 from training.common.settings import runs_folder
 from training.data.ball_windows import BallLooks, BallStream, validation_windows
 from training.data.splits import Split
@@ -65,8 +65,8 @@ PARTS: dict[Part, BallTraining] = {
         learning_rate=6e-4,
         looked_at=3.0,
         trajectory=0.5,
-        frozen=(*BallTraining.frozen, "eye.detector."),
-        fresh=("eye.refiner.outline.", "eye.refiner.outline_weighing."),
+        frozen=(*BallTraining.frozen, "perception.detector."),
+        fresh=("perception.refiner.outline.", "perception.refiner.outline_weighing."),
         fresh_rate=2.0,
     ),
 }
@@ -195,8 +195,7 @@ def _trained(folder: Path) -> AnyBallNet:
     network.load_state_dict(best["weights"])
     motion = folder / MOTION
     if motion.exists():
-        weights = torch.load(motion, map_location="cpu", weights_only=True)
-        network.load_state_dict(network.state_dict() | weights)
+        network.load_state_dict(network.state_dict() | read_whole(motion))
     return network
 
 

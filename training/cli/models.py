@@ -31,7 +31,7 @@ from training.evaluation.frame_rates import measure as measure_frame_rates
 from training.evaluation.frame_rates import results_table as rates_table
 from training.evaluation.perturbations import measure as measure_perturbations
 from training.evaluation.perturbations import results_table
-from training.evaluation.real_clips import balls_look, eye_look
+from training.evaluation.real_clips import balls_look, perception_look
 from training.evaluation.real_clips import table as real_clips_table
 from training.evaluation.tracked_clips import table as tracked_clips_table
 from training.export.any_ball import BallGraphs
@@ -120,7 +120,7 @@ def real_clips(
 ) -> None:
     """Measure how often a model finds the ball in real clips with tracks."""
     if Manifest.read(model / MANIFEST_FILE).max_objects is None:
-        look = eye_look(load_exported(model)[1])
+        look = perception_look(load_exported(model)[1])
     else:
         graphs = BallGraphs(model)
         look = balls_look(graphs.detect, graphs.refine)

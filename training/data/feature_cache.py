@@ -1,4 +1,4 @@
-"""What a taught eye reads of training windows, kept: seen once, replayed as often as one likes."""
+"""Outputs of trained perception for training windows: computed once, replayed in every epoch."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +19,7 @@ TRUTH = ("positions", "angular_velocities")
 def read_windows(
     family: PerceptionFamily, stream: Iterator[Batch], windows: int, path: Path
 ) -> None:
-    """Write what a family's eye reads of so many windows, and their truth.
+    """Write the outputs of a family's perception for some windows, and their truth.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ class BallTraining:
         steps; step ``halving`` has half the weight of the first. Only balls that meet no other one
         are rolled out.
     frozen
-        Prefixes of the parameters that do not train. With ``eye.detector.`` among them, the patch
+        Prefixes of the parameters that do not train. With ``perception.detector.`` among them, the
         refiner and the states at t = 0 train alone, on several times as many balls in the time.
     """
 
@@ -59,11 +59,11 @@ class BallTraining:
     seed: int = 1
     frozen: tuple[str, ...] = ("rolling.", "first_doubt.", "unsure.")
     fresh: tuple[str, ...] = (
-        "eye.detector.said",
-        "eye.refiner.registration.",
-        "eye.refiner.weighing.",
-        "eye.refiner.looks.",
-        "eye.refiner.sigmas.",
+        "perception.detector.said",
+        "perception.refiner.registration.",
+        "perception.refiner.weighing.",
+        "perception.refiner.looks.",
+        "perception.refiner.sigmas.",
     )
     """Parts that start from random weights."""
     fresh_rate: float = 3.0
@@ -147,10 +147,10 @@ class BallTrainer(TrainingLoop[BallBatch]):
 
     def losses(self, batch: BallBatch) -> dict[str, Tensor]:
         """Return the parts of the loss of a batch by name."""
-        eye = self.network.eye
-        detects = any(parameter.requires_grad for parameter in eye.detector.parameters())
+        perception = self.network.perception
+        detects = any(parameter.requires_grad for parameter in perception.detector.parameters())
         with mixed_precision(batch.places.device), torch.set_grad_enabled(detects):
-            maps = eye.detector.maps(batch.frames)
+            maps = perception.detector.maps(batch.frames)
         parts = self._detection(maps, batch) if detects else {}
         if not self.training.looked_at:
             return parts
@@ -159,7 +159,7 @@ class BallTrainer(TrainingLoop[BallBatch]):
         balls, places, radii = _beginnings(batch, maps, rows, generator)
         with mixed_precision(batch.places.device):
             # A pass learns the first look of a half, the second one of the others.
-            seen = eye.refine(balls.frames, places, radii, passes=1)
+            seen = perception.refine(balls.frames, places, radii, passes=1)
         ground, spacing = maps.ground[rows.window], balls.spacing
         state, beginning = self.network.begin(seen, ground, maps.scene[rows.window], spacing)
         parts |= self._refinement(seen, beginning, balls)

@@ -22,7 +22,7 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from training.common import distributed
-from training.common.run_folder import BEST, CHECKPOINT, EVENTS, LOSS, save_whole
+from training.common.run_folder import BEST, CHECKPOINT, EVENTS, LOSS, read_whole, save_whole
 from training.objectives.schedules import Schedule
 
 Item = TypeVar("Item")
@@ -289,7 +289,7 @@ class TrainingLoop(ABC, Generic[Item]):
         if not path.exists():
             return
         device = next(self.module.parameters()).device
-        state = torch.load(path, map_location=device, weights_only=True)
+        state = read_whole(path, device)
         self.module.load_state_dict(state["module"])
         self._average.load_state_dict(state["average"])
         self._optimiser.load_state_dict(state["optimiser"])

@@ -31,7 +31,7 @@ from training.objectives.losses import (
 
 MOST_BALLS = 3
 """Balls of a window at most: as many as the simulations have."""
-MOTION_PARTS = ("eye.state.", "rolling.", "first_doubt.", "unsure.")
+MOTION_PARTS = ("perception.state.", "rolling.", "first_doubt.", "unsure.")
 """Prefixes of the parameters that are trained."""
 LIKELIHOOD_WEIGHT = 0.2
 """Pixels that a nat counts for; the likelihood trains the covariances alone."""
@@ -103,7 +103,7 @@ def read_windows(
     rows: dict[int, list[BallReadings]] = {}
     for batch in batches:
         with torch.inference_mode():
-            maps = network.eye.detector.maps(batch.frames)
+            maps = network.perception.detector.maps(batch.frames)
             for window in range(len(batch.frames)):
                 balls = _balls_of(batch, window)
                 if not 0 < len(balls) <= MOST_BALLS:
@@ -118,7 +118,7 @@ def read_windows(
                 )
                 if lost.any():
                     continue
-                seen = network.eye.refine(batch.frames[one], said.places, said.radii)
+                seen = network.perception.refine(batch.frames[one], said.places, said.radii)
                 reading = BallReadings(
                     seen.places, seen.radii, seen.visible, seen.log_sigmas, seen.features,
                     maps.ground[one], maps.scene[one], batch.spacing[one],

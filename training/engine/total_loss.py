@@ -82,7 +82,7 @@ class Objective:
     def _reading_loss(
         self, forecasts: dict[str, Observation], batch: Batch
     ) -> torch.Tensor | float:
-        """Loss of what the eyes read; zero where none learns."""
+        """Loss of the perception outputs; zero where no perception is trained."""
         explicit = self.recipe.explicit
         if explicit is None or explicit.reading is None:
             return 0.0

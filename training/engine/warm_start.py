@@ -7,9 +7,9 @@ import torch
 
 from training.networks.recurrent import Network
 
-CLOSER, ZOOMED = "eye.closer.", "eye.zoomed.look."
+CLOSER, ZOOMED = "perception.closer.", "perception.zoomed.look."
 
-OF_EVERY_BALL = ("encoder.", "eye.first.where.")
+OF_EVERY_BALL = ("encoder.", "perception.first.where.")
 """Parameters whose outputs there are of every ball."""
 
 
@@ -46,7 +46,7 @@ def load_fitting(network: Network, initial: dict[str, torch.Tensor]) -> list[str
 
 
 def placed(network: Network, parameters: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Parameters by the names in a network: an eye may sit in its encoder."""
+    """Parameters by the names in a network: perception may be part of its encoder."""
     own = network.state_dict()
     return {n if n in own else f"encoder.{n}": value for n, value in parameters.items()}
 

@@ -29,7 +29,9 @@ class TorchFinder:
     def detect(self, frames: UInt8[np.ndarray, "1 4 128 128 3"]) -> Arrays:
         """Frames to candidates, votes and maps."""
         with torch.inference_mode():
-            maps = self.network.eye.detector.maps(torch.from_numpy(np.ascontiguousarray(frames)))
+            maps = self.network.perception.detector.maps(
+                torch.from_numpy(np.ascontiguousarray(frames))
+            )
             found = peaks(maps)
             votes = torch.cat(
                 [
@@ -46,7 +48,7 @@ class TorchFinder:
     ) -> Arrays:
         """Patches to what is wanted of them."""
         with torch.inference_mode():
-            said = self.network.eye.refiner(torch.from_numpy(patches.astype(np.float32)))
+            said = self.network.perception.refiner(torch.from_numpy(patches.astype(np.float32)))
         return {name: getattr(said, name).numpy() for name in wanted}
 
     def find(

@@ -163,14 +163,14 @@ Look = Callable[[UInt8[np.ndarray, "4 128 128 3"], Float[np.ndarray, "2"] | None
 a model answers with, in halves of the frame."""
 
 
-def eye_look(network: Network) -> Look:
+def perception_look(network: Network) -> Look:
     """Return how a network for a fixed number of balls sees: its first ball."""
-    (eye,) = (part for part in network.modules() if isinstance(part, Perception))
+    (perception,) = (part for part in network.modules() if isinstance(part, Perception))
 
     def look(frames: np.ndarray, prompt: np.ndarray | None) -> np.ndarray:
         prompts = None if prompt is None else torch.from_numpy(prompt[None, None]).float()
         with torch.inference_mode():
-            reading: PerceptionOutput = eye(torch.from_numpy(frames[None]), prompts)
+            reading: PerceptionOutput = perception(torch.from_numpy(frames[None]), prompts)
         return reading.seen_positions[-1][0, :1].numpy()
 
     return look

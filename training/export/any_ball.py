@@ -51,7 +51,7 @@ class DetectorGraph(torch.nn.Module):
 
     def forward(self, frames: Tensor) -> tuple[Tensor, ...]:
         """Look at frames uint8 [B, 4, 128, 128, 3]."""
-        maps = self.network.eye.detector.maps(frames)
+        maps = self.network.perception.detector.maps(frames)
         votes = torch.cat(
             [
                 maps.places.flatten(1, 2), maps.log_radius[:, None],
@@ -71,7 +71,7 @@ class RefinerGraph(torch.nn.Module):
 
     def forward(self, patches: Tensor) -> tuple[Tensor, ...]:
         """Read patches [M, 4, 3, P, P]."""
-        said = self.network.eye.refiner(patches)
+        said = self.network.perception.refiner(patches)
         return tuple(getattr(said, name) for name in REFINER_OUTPUTS)
 
 

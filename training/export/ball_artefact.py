@@ -88,7 +88,7 @@ def export_balls(
     """
     folder.mkdir(parents=True, exist_ok=True)
     network = trained.network.cpu().eval()
-    round_weights([network.eye])
+    round_weights([network.perception])
     write_ball_graphs(network, folder)
     finder, graphs = TorchFinder(network), BallGraphs(folder)
     frames = [part.windows[0].frames for part in validation[1]]

@@ -15,10 +15,10 @@ from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import (
     BALL_FILES,
     CARD_FILE,
-    EYE_FILE,
     FAMILIARITY_FILE,
     GOLDEN_FILE,
     MANIFEST_FILE,
+    PERCEPTION_FILE,
     CovarianceSource,
     Manifest,
     MetricRow,
@@ -322,6 +322,6 @@ def _served_covariances(made: Forecasts, covariance: CovarianceSource) -> np.nda
 
 def hashes(folder: Path) -> dict[str, str]:
     """Sha256 of an artefact's files, by name."""
-    possible = (EYE_FILE, FAMILIARITY_FILE, *BALL_FILES)
+    possible = (PERCEPTION_FILE, FAMILIARITY_FILE, *BALL_FILES)
     there = [name for name in possible if (folder / name).exists()]
     return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in there}

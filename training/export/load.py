@@ -5,8 +5,8 @@ from pathlib import Path
 import onnx
 import torch
 
-from rollcast.manifest import ENCODER_FILE, EYE_FILE, MANIFEST_FILE, STEP_FILE, Manifest
-from training.common.run_folder import BEST, read_best
+from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, PERCEPTION_FILE, STEP_FILE, Manifest
+from training.common.run_folder import BEST, current_name, read_best
 from training.engine.warm_start import Initial, placed
 from training.export.weight_rounding import stored_weights
 from training.networks.any_ball import AnyBallNet
@@ -17,11 +17,12 @@ from training.recipes.any_ball import warm_network
 
 
 def read_parameters(folder: Path) -> dict[str, torch.Tensor]:
-    """Parameters of an exported model by torch's names: its graphs' initialisers."""
+    """Parameters of an exported model by torch's current names: its graphs' initialisers."""
     parameters: dict[str, torch.Tensor] = {}
-    for file in (EYE_FILE, ENCODER_FILE, STEP_FILE):
+    for file in (PERCEPTION_FILE, ENCODER_FILE, STEP_FILE):
         if (folder / file).exists():
-            parameters |= stored_weights(onnx.load(folder / file).graph)
+            stored = stored_weights(onnx.load(folder / file).graph)
+            parameters |= {current_name(name): value for name, value in stored.items()}
     return parameters
 
 

@@ -17,9 +17,9 @@ from torch import Tensor
 
 from rollcast.manifest import (
     ENCODER_FILE,
-    EYE_FILE,
     FRAMES_INPUT,
     NEXT_PREFIX,
+    PERCEPTION_FILE,
     STEP_FILE,
 )
 from rollcast.outputs import SPECS, OutputName
@@ -40,16 +40,16 @@ READ_NAMES = PerceptionOutput._fields[1:-1]
 _OWN_PREFIX = "network."
 
 
-class EyeGraph(torch.nn.Module):
+class PerceptionGraph(torch.nn.Module):
     """Perception graph, shared by all networks with the same perception weights."""
 
-    def __init__(self, eye: Perception) -> None:
+    def __init__(self, perception: Perception) -> None:
         super().__init__()
-        self.eye = eye
+        self.perception = perception
 
     def forward(self, frames: Tensor) -> tuple[Tensor, ...]:
         """Return the positions in the last frame and READ_NAMES, as positional tensors."""
-        positions, *read, _ = self.eye(frames)
+        positions, *read, _ = self.perception(frames)
         return positions[-1][:, :, -1], *read
 
 
@@ -113,11 +113,12 @@ def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
     outputs = list(first_observation(predictor, frames))
     encoded = [*STATE_NAMES, *outputs]
     if isinstance(predictor, PerceptionNetwork):
-        (eye,) = (EyeGraph(part) for part in predictor.modules() if isinstance(part, Perception))
+        (perception,) = (part for part in predictor.modules() if isinstance(part, Perception))
+        graph = PerceptionGraph(perception)
         seen, read_names = (frames[:, :OBSERVED_FRAMES],), [PLACES, *READ_NAMES]
-        write_graph(eye, seen, [FRAMES_INPUT], read_names, folder / EYE_FILE)
+        write_graph(graph, seen, [FRAMES_INPUT], read_names, folder / PERCEPTION_FILE)
         with torch.inference_mode():
-            (_, *read, _), finals = perceive(eye.eye, frames)
+            (_, *read, _), finals = perceive(perception, frames)
         names = list(READ_NAMES)
         if finals is not None:
             names.append(FINALS)
@@ -125,7 +126,7 @@ def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
         encoder = ReadEncoderGraph(predictor)
         write_graph(encoder, tuple(read), names, encoded, folder / ENCODER_FILE)
     else:
-        (folder / EYE_FILE).unlink(missing_ok=True)
+        (folder / PERCEPTION_FILE).unlink(missing_ok=True)
         encoder = EncoderGraph(predictor)
         write_graph(encoder, (frames,), [FRAMES_INPUT], encoded, folder / ENCODER_FILE)
     with torch.inference_mode():
@@ -209,16 +210,16 @@ class Graphs:
     """
 
     def __init__(self, folder: Path) -> None:
-        opened = open_graphs(folder, (EYE_FILE, ENCODER_FILE, STEP_FILE))
-        self._eye = opened.get(EYE_FILE)
+        opened = open_graphs(folder, (PERCEPTION_FILE, ENCODER_FILE, STEP_FILE))
+        self._perception = opened.get(PERCEPTION_FILE)
         self._encoder, self._step = opened[ENCODER_FILE], opened[STEP_FILE]
         self._read = [one.name for one in self._encoder.get_inputs()]
 
     def encode(self, frames: UInt8[np.ndarray, "B K 128 128 3"]) -> Step:
         """Return the first state and the outputs of step t = 0."""
         seen = {FRAMES_INPUT: frames}
-        if self._eye is not None:
-            seen = run_perception(self._eye.run, self._read, frames)
+        if self._perception is not None:
+            seen = run_perception(self._perception.run, self._read, frames)
         return run_step(self._encoder, seen)
 
     def advance(self, state: Arrays) -> Step:

@@ -1,4 +1,4 @@
-"""A second version of a model whose eye convolves in 8 bits: faster, a little less exact.
+"""A second version of a model whose perception convolves in 8 bits: faster, a little less exact.
 
 Static quantisation (decision 0021). Nothing is trained: the ranges of the activations are those
 that validation frames reach.
@@ -17,17 +17,18 @@ import onnx
 from rollcast.manifest import (
     CARD_FILE,
     ENCODER_FILE,
-    EYE_FILE,
     FAMILIARITY_FILE,
     FRAMES_INPUT,
     GOLDEN_FILE,
     MANIFEST_FILE,
+    PERCEPTION_FILE,
     STEP_FILE,
     Manifest,
     Parity,
 )
 from rollcast.outputs import SPECS, OutputName
 from rollcast.scene import Scenario
+from training.common.run_folder import current_name
 from training.common.settings import keep_runtime_silent
 from training.data.windows import collate, compared_horizon
 from training.evaluation.evaluate import EvaluationSet, evaluation_sets, markdown_table
@@ -36,7 +37,7 @@ from training.export.onnx_graphs import Graphs, drop_traces
 from training.export.weight_rounding import store_in_bytes
 from training.objectives.metrics import Forecasts, beside_truth
 
-KEPT_IN_FLOAT = ("eye.first.where.", "eye.first.ground.")
+KEPT_IN_FLOAT = ("perception.first.where.", "perception.first.ground.")
 """Convolutions whose outputs are what is read: their rounding would cost most."""
 
 LEAST_GAIN = 1.5
@@ -58,7 +59,7 @@ def quantise(source: Path, version: int, test_scenes: int, workers: int) -> Mani
     Raises
     ------
     FileNotFoundError
-        When there is no such model, or it has no eye.
+        When there is no such model, or it has no perception graph.
     NotWorthItError
         When it is not LEAST_GAIN times as fast, or errs by more than MOST_LOSS_PX more.
     """
@@ -70,7 +71,9 @@ def quantise(source: Path, version: int, test_scenes: int, workers: int) -> Mani
     validation = sets_of("validation", VALIDATION_SCENES)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        write_quantised(source / EYE_FILE, folder / EYE_FILE, _calibration_frames(validation))
+        write_quantised(
+            source / PERCEPTION_FILE, folder / PERCEPTION_FILE, _calibration_frames(validation)
+        )
         known = () if float32.unfamiliar is None else (FAMILIARITY_FILE,)
         for file in (ENCODER_FILE, STEP_FILE, *known):
             shutil.copy(source / file, folder / file)
@@ -143,7 +146,9 @@ def write_quantised(source: Path, to: Path, frames: np.ndarray) -> None:
         quant_pre_process(source, folded, skip_symbolic_shape=True)
         nodes = onnx.load(folded).graph.node
         kept = [
-            n.name for n in nodes if n.op_type == "Conv" and n.input[1].startswith(KEPT_IN_FLOAT)
+            node.name
+            for node in nodes
+            if node.op_type == "Conv" and current_name(node.input[1]).startswith(KEPT_IN_FLOAT)
         ]
         # Weights in 7 bits: two products of 8 overflow where a processor adds them in 16 bits.
         quantize_static(

@@ -180,7 +180,7 @@ class AnyBallNet(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.eye = BallPerception()
+        self.perception = BallPerception()
         self.rolling = Rolling(SizedEncounters())
         self.first_doubt = nn.Linear(FEATURES, 3)
         self.unsure = nn.Linear(2, 3, bias=False)
@@ -196,7 +196,7 @@ class AnyBallNet(nn.Module):
         self, seen: Seen, ground_B3GG: Tensor, scene_B2: Tensor, spacing_B: Tensor
     ) -> tuple[State, Beginning]:
         """h_0 from what was seen, see :meth:`BallPerception.begin`."""
-        balls = self.eye.begin(seen, ground_B3GG, scene_B2, spacing_B)
+        balls = self.perception.begin(seen, ground_B3GG, scene_B2, spacing_B)
         return self.state(seen, balls, ground_B3GG, spacing_B), balls
 
     def state(self, seen: Seen, balls: Beginning, ground_B3GG: Tensor, spacing_B: Tensor) -> State:

@@ -279,7 +279,7 @@ class FieldNet(PerceptionNetwork):
         super().__init__()
         self.final_step = task.final_step
         self.tells_spin = task.angular_velocity
-        self.eye = Perception(task.objects, zoomed)
+        self.perception = Perception(task.objects, zoomed)
         self.rolling = Rolling(Encounters() if task.meetings else None)
         self.bend = None if task.final_step is None else EndpointCorrection()
         self.first_doubt = nn.Linear(FEATURES, 3)
@@ -297,7 +297,7 @@ class FieldNet(PerceptionNetwork):
     def _perceive(
         self, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None
     ) -> tuple[State, PerceptionOutput]:
-        reading, finals = perceive(self.eye, frames_BKHW3, prompts_BN2)
+        reading, finals = perceive(self.perception, frames_BKHW3, prompts_BN2)
         return self.begin(reading, finals), reading
 
     def begin(self, reading: PerceptionOutput, finals_BN2: Tensor | None) -> State:

@@ -102,7 +102,7 @@ class PerceptionStateEncoder(nn.Module):
 
     def __init__(self, task: Task, channels: int) -> None:
         super().__init__()
-        self.eye = Perception(task.objects)
+        self.perception = Perception(task.objects)
         self.spread = Spread(channels, final=task.final_step is not None)
 
     def forward(self, frames_BKHW3: Tensor) -> Tensor:
@@ -111,7 +111,7 @@ class PerceptionStateEncoder(nn.Module):
 
     def initial_state(self, frames_BKHW3: Tensor) -> InitialState:
         """Return the initial state that perception finds in the frames."""
-        return initial_state_of(*perceive(self.eye, frames_BKHW3))
+        return initial_state_of(*perceive(self.perception, frames_BKHW3))
 
     def begin(self, initial: InitialState) -> Tensor:
         """s_0 of an initial state, from perception or true."""

@@ -153,7 +153,7 @@ class DoubtLoss:
 
 
 class ReadingLoss:
-    """What an eye read of the frames against the truth: pixels, weighed by what forecasts need.
+    """Perception outputs against the truth: pixels, weighed by their use in forecasts.
 
     Closer looks weigh more than the first, velocities most: their errors grow with every step. What
     is NaN in the truth is not known, and costs nothing: of footage there are only places.

@@ -84,7 +84,7 @@ def lines() -> tuple[Line, ...]:
         Line(field_one_ball_between(), parents=("fieldnet",)),
         Line(field_several_balls_between(2), parents=("fieldnet-2",)),
         Line(field_several_balls_between(3), parents=("fieldnet-3",)),
-        # The eye comes from the first, what the first lacks from the others.
+        # Perception comes from the first, parameters that the first lacks from the others.
         Line(sighted_one_ball(), parents=("fieldnet",)),
         Line(sighted_one_ball_between(), parents=("fieldnet", "dispnet")),
         Line(sighted_several_balls(2), parents=("fieldnet-2", "posnet", "dispnet", "probnet")),

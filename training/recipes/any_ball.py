@@ -59,7 +59,10 @@ def warm_network(one_ball: Mapping[str, Tensor], several: Mapping[str, Tensor]) 
     """
     network = AnyBallNet()
     own = network.state_dict()
-    names = {"eye.first.": "eye.detector.", "eye.closer.": "eye.refiner."}
+    names = {
+        "perception.first.": "perception.detector.",
+        "perception.closer.": "perception.refiner.",
+    }
     taken: dict[str, Tensor] = {}
     for name, value in one_ball.items():
         new = name

@@ -29,7 +29,7 @@ def sighted_one_ball() -> Recipe:
         sequences=160_000,
         curriculum=horizons,
         explicit=Explicit(None, None, practice=32, curriculum=horizons),
-        frozen=("encoder.eye.",),
+        frozen=("encoder.perception.",),
         replay_windows=24_000,
         learning_rate=1.5e-3,
     )

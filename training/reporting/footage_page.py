@@ -36,7 +36,7 @@ PERCEPTION = MODELS / "any-ball" / "1"
 """What tracks the clips."""
 STAGES = {1: (setup, setup_continued), 4: (setup, setup_seeing, setup_continued)}
 """Trainings on the arena, each of which goes on from the one before, by number of balls: four that
-look alike are what an eye needs lessons for."""
+look alike are what perception has to learn first."""
 SEEING = ("vin", "v-lstm")
 """Baselines that take hours with four balls: V-LSTM has a network for each."""
 VALIDATE_EVERY = 125

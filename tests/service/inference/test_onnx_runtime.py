@@ -9,9 +9,9 @@ import pytest
 
 from rollcast.manifest import (
     ENCODER_FILE,
-    EYE_FILE,
     GOLDEN_FILE,
     MANIFEST_FILE,
+    PERCEPTION_FILE,
     STEP_FILE,
     Manifest,
 )
@@ -23,17 +23,17 @@ MODELS = Path(__file__).parents[3] / "models"
 
 @pytest.fixture
 def opened(monkeypatch):
-    """Names of the graphs that are opened for one core, with no eye open before."""
+    """Names of the graphs that are opened for one core, with no perception graph open before."""
     names: list[str] = []
     open_session = onnx_runtime._session
 
     def note(graph, provider, threads=1, **options):
         if threads == 1:
-            names.append(EYE_FILE if isinstance(graph, bytes) else graph.name)
+            names.append(PERCEPTION_FILE if isinstance(graph, bytes) else graph.name)
         return open_session(graph, provider, threads, **options)
 
     monkeypatch.setattr(onnx_runtime, "_session", note)
-    monkeypatch.setattr(onnx_runtime, "_eyes", WeakValueDictionary())
+    monkeypatch.setattr(onnx_runtime, "_perceptions", WeakValueDictionary())
     return names
 
 
@@ -42,10 +42,10 @@ def predictor(name: str) -> OnnxPredictor:
     return OnnxPredictor(folder, Manifest.read(folder / MANIFEST_FILE))
 
 
-def test_models_with_the_same_eye_share_it_whether_they_see_a_final_frame_or_not(opened):
+def test_models_with_the_same_perception_share_it_whether_they_see_a_final_frame_or_not(opened):
     names = ("fieldnet", "posnet", "interpnet")
     models = [predictor(name) for name in names]
-    assert opened == [EYE_FILE, *(3 * [ENCODER_FILE, STEP_FILE])]
+    assert opened == [PERCEPTION_FILE, *(3 * [ENCODER_FILE, STEP_FILE])]
     for name, model in zip(names, models, strict=True):
         with np.load(MODELS / name / "1" / GOLDEN_FILE) as golden:
             outputs = model.encode(golden["frames"]).outputs
@@ -60,10 +60,10 @@ def test_a_second_core_changes_no_bit(name):
         frames = golden["frames"]
     model.encode(frames[:1], two_cores=True)
     for thread in threading.enumerate():
-        if thread.name == "opens an eye":
+        if thread.name == "opens perception":
             thread.join()
-    if onnx_runtime.CORES_OF_AN_EYE > 1:
-        assert model._eye._helped is not model._eye._unhelped
+    if onnx_runtime.PERCEPTION_CORES > 1:
+        assert model._perception._two_cores is not model._perception._one_core
     for rows in (frames[:1], frames):
         alone, two_cores = model.encode(rows), model.encode(rows, two_cores=True)
         for mine, other in ((alone.state, two_cores.state), (alone.outputs, two_cores.outputs)):
@@ -71,21 +71,21 @@ def test_a_second_core_changes_no_bit(name):
                 np.testing.assert_array_equal(value, other[key])
 
 
-def test_an_eye_that_nobody_uses_is_let_go(opened):
+def test_an_unused_perception_graph_is_closed(opened):
     first, other = predictor("fieldnet"), predictor("fieldnet-2")
-    assert opened.count(EYE_FILE) == 2
+    assert opened.count(PERCEPTION_FILE) == 2
     del first
     gc.collect()
-    assert len(onnx_runtime._eyes) == 1
+    assert len(onnx_runtime._perceptions) == 1
     del other
     gc.collect()
-    assert not onnx_runtime._eyes
+    assert not onnx_runtime._perceptions
 
 
 @pytest.mark.parametrize("name", ["fieldnet", "any-ball"])
 def test_sessions_use_the_execution_provider(name, monkeypatch):
     """ONNX Runtime's CPU package has a second provider, which leaves all operators to the CPU."""
-    monkeypatch.setattr(onnx_runtime, "_eyes", WeakValueDictionary())
+    monkeypatch.setattr(onnx_runtime, "_perceptions", WeakValueDictionary())
     folder = MODELS / name / "1"
     manifest = Manifest.read(folder / MANIFEST_FILE)
     model = open_predictor(folder, manifest, "AzureExecutionProvider")

@@ -56,8 +56,8 @@ def test_training_changes_perception_alone_and_goes_on_where_it_stopped(tmp_path
     assert [batches for batches, _ in resumed.validations] == [2, 3]
     assert error == min(error for _, error in resumed.validations)
     moved = {n for n, v in resumed.network.state_dict().items() if not torch.equal(v, before[n])}
-    assert any(name.startswith("eye.detector.said") for name in moved)
-    assert any(name.startswith("eye.refiner.registration") for name in moved)
+    assert any(name.startswith("perception.detector.said") for name in moved)
+    assert any(name.startswith("perception.refiner.registration") for name in moved)
     assert not any(name.startswith(("rolling", "first_doubt")) for name in moved)
     best = read_best(tmp_path)
     assert best["weights"].keys() == before.keys()
@@ -91,6 +91,6 @@ def test_trajectories_teach_the_refiner_where_a_future_is_known(tmp_path, unseen
         for name, parameter in made.network.named_parameters()
         if parameter.grad is not None
     }
-    assert gradients["eye.refiner.correction.weight"] > 0
-    assert gradients["eye.state.0.weight"] > 0
+    assert gradients["perception.refiner.correction.weight"] > 0
+    assert gradients["perception.state.0.weight"] > 0
     assert not any(name.startswith("rolling") for name in gradients)

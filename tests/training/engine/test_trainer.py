@@ -79,7 +79,7 @@ def test_training_lowers_the_error_and_keeps_the_best(any_recipe, tmp_path):
     assert best["horizon"] == longest_rollout(any_recipe, best["sequences"] / any_recipe.sequences)
     changed = [n for n, v in trainer.family.state_dict().items() if not torch.equal(v, before[n])]
     taught = any_recipe.preset != "sighted"
-    assert set(changed) == {name for name in before if taught or ".eye." not in name}
+    assert set(changed) == {name for name in before if taught or ".perception." not in name}
 
 
 def test_only_the_eye_learns_to_see(runs, tmp_path):
@@ -87,7 +87,7 @@ def test_only_the_eye_learns_to_see(runs, tmp_path):
     before = {name: value.clone() for name, value in trainer.family.state_dict().items()}
     trainer.run()
     changed = {n for n, v in trainer.family.state_dict().items() if not torch.equal(v, before[n])}
-    assert changed == {name for name in before if ".eye." in name}
+    assert changed == {name for name in before if ".perception." in name}
 
 
 def test_motion_learns_at_a_rate_of_its_own(runs, tmp_path):
@@ -106,7 +106,7 @@ def test_a_taught_eye_can_be_left_as_it_is(runs, tmp_path):
     before = {name: value.clone() for name, value in trainer.family.state_dict().items()}
     trainer.run()
     kept = {n for n, v in trainer.family.state_dict().items() if torch.equal(v, before[n])}
-    assert kept == {name for name in before if ".eye." in name}
+    assert kept == {name for name in before if ".perception." in name}
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import av
 import numpy as np
 import pytest
 
-from training.evaluation.real_clips import FOUND_PX, clip_windows, eye_look, find
+from training.evaluation.real_clips import FOUND_PX, clip_windows, find, perception_look
 from training.networks.perception import Perception
 
 WIDTH, HEIGHT, FRAMES = 192, 160, 12
@@ -58,8 +58,8 @@ def test_frames_that_a_camera_repeats_are_left_out(clips):
 def test_a_prompt_begins_within_reach_of_the_ball(clips):
     setup = {"file": "ball.mp4", "crop": CROP, "targets": ["white"]}
     windows = clip_windows(clips, clips, "one", setup)
-    # An untaught eye corrects nothing: it says what it was told.
-    made = find(eye_look(Perception(1).eval()), windows, prompted=True)
+    # Untrained perception corrects nothing: it returns the prompt.
+    made = find(perception_look(Perception(1).eval()), windows, prompted=True)
     assert made.position_errors.max() < 6
     np.testing.assert_array_equal(made.found, made.position_errors <= max(6, FOUND_PX))
     np.testing.assert_allclose(made.displacement_errors, 3, atol=1e-4)

@@ -7,7 +7,7 @@ import onnx
 import pytest
 import torch
 
-from rollcast.manifest import EYE_FILE, GAUSSIAN_ELLIPSE50_RADIUS, MANIFEST_FILE, Manifest
+from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS, MANIFEST_FILE, PERCEPTION_FILE, Manifest
 from tests.training.conftest import tiny
 from training.engine.warm_start import load_fitting
 from training.evaluation.evaluate import evaluation_sets
@@ -77,17 +77,17 @@ def test_parameters_come_back_from_the_graphs(exported):
     torch.testing.assert_close(rebuilt.state_dict(), predictor.state_dict(), rtol=0, atol=0)
 
 
-def test_an_eye_is_stored_in_bytes(exported):
+def test_perception_is_stored_in_bytes(exported):
     _, _, predictor, folder, _ = exported
     if not isinstance(predictor, PerceptionNetwork):
-        assert not (folder / EYE_FILE).exists()
+        assert not (folder / PERCEPTION_FILE).exists()
         return
-    stored = {one.name: one for one in onnx.load(folder / EYE_FILE).graph.initializer}
+    stored = {one.name: one for one in onnx.load(folder / PERCEPTION_FILE).graph.initializer}
     large = {name for name, value in predictor.named_parameters() if value.numel() >= 4096}
     in_bytes = {name for name, one in stored.items() if one.data_type == onnx.TensorProto.INT8}
-    eye = {name for name in large & stored.keys() if name.startswith("eye.")}
-    assert eye
-    assert eye <= in_bytes
+    perception = {name for name in large & stored.keys() if name.startswith("perception.")}
+    assert perception
+    assert perception <= in_bytes
 
 
 def test_graphs_tell_nothing_of_the_machine(exported):

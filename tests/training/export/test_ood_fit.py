@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from rollcast.manifest import EYE_FILE, FAMILIARITY_FILE, MANIFEST_FILE, Manifest
+from rollcast.manifest import FAMILIARITY_FILE, MANIFEST_FILE, PERCEPTION_FILE, Manifest
 from rollcast.ood import frame_stats
 from tests.training.conftest import HEMISPHERE
 from tests.training.export.test_export import ROOT
@@ -76,7 +76,7 @@ def test_an_artefact_keeps_it(familiarity, known, tmp_path):
     assert Manifest.read(folder / MANIFEST_FILE) == manifest
     assert manifest.unfamiliar == unfamiliar
     assert manifest.files == hashes(folder)
-    assert {EYE_FILE, FAMILIARITY_FILE} <= set(manifest.files)
+    assert {PERCEPTION_FILE, FAMILIARITY_FILE} <= set(manifest.files)
 
 
 def test_balls_are_lost_where_their_place_is_less_certain_than_in_known_scenes(

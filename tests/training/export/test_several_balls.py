@@ -69,7 +69,7 @@ def test_the_export_is_read_back(exported, two_balls):
 
 
 def test_a_wider_network_begins_as_the_narrower_one(two_balls, posnet, tmp_path):
-    """The eye of one ball becomes that of each, and neither minds the new inputs at first."""
+    """Each ball gets the perception of one ball; the new inputs have no effect at first."""
     trainer = Trainer(two_balls, tmp_path, PACE, [posnet])
     (member,) = trainer.family.networks().values()
     own = member.state_dict()

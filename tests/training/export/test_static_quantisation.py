@@ -1,4 +1,4 @@
-"""An eye in 8 bits, made of the committed one: what is quantised, and what that costs."""
+"""Perception in 8 bits, made of the committed one: what is quantised, and what that costs."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import numpy as np
 import onnx
 import pytest
 
-from rollcast.manifest import EYE_FILE, GOLDEN_FILE, MANIFEST_FILE, STEP_FILE, Manifest
+from rollcast.manifest import GOLDEN_FILE, MANIFEST_FILE, PERCEPTION_FILE, STEP_FILE, Manifest
 from training.export.onnx_graphs import Graphs
 from training.export.static_quantisation import (
     KEPT_IN_FLOAT,
@@ -26,14 +26,14 @@ def golden():
 
 
 @pytest.fixture(scope="module")
-def eye(golden, tmp_path_factory):
-    path = tmp_path_factory.mktemp("quantised") / EYE_FILE
-    write_quantised(FIELDNET / EYE_FILE, path, golden["frames"])
+def perception(golden, tmp_path_factory):
+    path = tmp_path_factory.mktemp("quantised") / PERCEPTION_FILE
+    write_quantised(FIELDNET / PERCEPTION_FILE, path, golden["frames"])
     return path
 
 
-def test_convolutions_read_8_bits_but_those_that_are_kept(eye):
-    graph = onnx.load(eye).graph
+def test_convolutions_read_8_bits_but_those_that_are_kept(perception):
+    graph = onnx.load(perception).graph
     made_by = {name: node for node in graph.node for name in node.output}
     kept = 0
     convolutions = [node for node in graph.node if node.op_type == "Conv"]
@@ -47,12 +47,12 @@ def test_convolutions_read_8_bits_but_those_that_are_kept(eye):
     assert len(convolutions) > 4 * kept
 
 
-def test_it_reads_nearly_what_the_eye_in_float32_reads(eye, golden):
+def test_it_reads_nearly_what_the_perception_in_float32_reads(perception, golden):
     # Its ranges were measured on these very frames, so little of the difference is left to chance.
     for file in FIELDNET.glob("*.onnx"):
-        if file.name != EYE_FILE:
-            (eye.parent / file.name).write_bytes(file.read_bytes())
-    positions = Graphs(eye.parent).roll(golden["frames"], 10)["positions"]
+        if file.name != PERCEPTION_FILE:
+            (perception.parent / file.name).write_bytes(file.read_bytes())
+    positions = Graphs(perception.parent).roll(golden["frames"], 10)["positions"]
     difference = np.abs(positions - golden["positions"][:, :, :10])
     assert 0 < difference.max() < 0.5
 

@@ -146,7 +146,7 @@ def test_velocities_are_of_a_step_whatever_the_spacing_of_the_frames(spacing):
     network = AnyBallNet()
     torch.nn.init.normal_(network.unsure.weight)
     with torch.no_grad():
-        network.eye.state[0].weight[:, -1] = 0  # what is learned of the spacing itself
+        network.perception.state[0].weight[:, -1] = 0  # what is learned of the spacing itself
     back = torch.arange(-3.0, 1)[:, None] * torch.tensor([0.05, 0.02])
     features, scene = torch.randn(1, 1, FEATURES), torch.zeros(1, 2)
     log_sigmas = torch.tensor([[[-5.0, -4.0]]])

@@ -1,4 +1,4 @@
-"""The network with an explicit state: motion, meetings, eye and losses against known truths."""
+"""The network with an explicit state against known truths: motion, perception and losses."""
 
 import pytest
 import torch
@@ -147,11 +147,11 @@ def test_a_ball_that_rolls_does_not_slip(lean):
 
 def test_an_untaught_eye_takes_balls_to_be_rolling():
     torch.manual_seed(8)
-    eye = Perception(1).eval()
+    perception = Perception(1).eval()
     with torch.no_grad():
-        for parameter in eye.state[-1].parameters():
+        for parameter in perception.state[-1].parameters():
             parameter.zero_()
-        look = eye(FRAMES)
+        look = perception(FRAMES)
     exact = look.seen_positions[-1]
     torch.testing.assert_close(look.velocities[..., :2], exact[:, :, 3] - exact[:, :, 2])
     torch.testing.assert_close(look.centres[..., :2], exact[:, :, 3])
@@ -236,7 +236,7 @@ def test_doubt_leaves_the_positions_alone():
 
 
 def test_doubt_grows_without_moving_the_balls():
-    """The likelihood teaches the doubt alone, from the eye to the last step."""
+    """The likelihood teaches the doubt alone, from perception to the last step."""
     network = field_net()
     forecast = network(FRAMES, 5)
     forecast.covariances.sum().backward()
@@ -252,7 +252,7 @@ def test_several_balls_begin_as_one_ball_each():
     pair = field_net(2)
     load_fitting(pair, one.state_dict())
     with torch.inference_mode():
-        alone, both = one.eye(FRAMES), pair.eye(FRAMES)
+        alone, both = one.perception(FRAMES), pair.perception(FRAMES)
         for k in range(2):
             torch.testing.assert_close(both.seen_positions[0][:, k], alone.seen_positions[0][:, 0])
         start = balls(torch.tensor([[[0.1, 0.0, 0.2]]]), torch.tensor([[[0.05, 0.0, 0.0]]]))
@@ -274,7 +274,7 @@ def test_a_bent_way_begins_as_it_would_and_ends_at_the_final_place():
     frames = torch.cat([FRAMES, FRAMES[:, :1]], dim=1)
     with torch.inference_mode():
         bent, own = two(frames, 8), one(FRAMES, 8)
-        at_rest = 64 + 64 * one.eye.at_rest(FRAMES[:, 0])
+        at_rest = 64 + 64 * one.perception.at_rest(FRAMES[:, 0])
     torch.testing.assert_close(bent.final_positions, at_rest)
     torch.testing.assert_close(bent.positions[:, :, 0], own.positions[:, :, 0])
     torch.testing.assert_close(bent.positions[:, :, -1], at_rest, rtol=0, atol=1e-2)
@@ -295,12 +295,12 @@ def test_a_way_that_ends_well_is_left_alone():
 def test_a_still_frame_is_four_of_balls_at_rest():
     network = unsettled(field_net())
     with torch.inference_mode():
-        looks = network.eye(FRAMES[:, :1].expand(-1, 4, -1, -1, -1)).seen_positions
-        at_rest = network.eye.at_rest(FRAMES[:, 0])
+        looks = network.perception(FRAMES[:, :1].expand(-1, 4, -1, -1, -1)).seen_positions
+        at_rest = network.perception.at_rest(FRAMES[:, 0])
     torch.testing.assert_close(at_rest, looks[-1][:, :, -1])
 
 
-def test_going_on_begins_with_the_eye_alone():
+def test_going_on_begins_with_perception_alone():
     recipe = continued(field_several_balls(2))
     assert horizon_at(recipe.curriculum, 0.5) == 1
     assert recipe.trained_horizon == field_several_balls(2).trained_horizon == 30
@@ -328,7 +328,7 @@ def test_a_third_ball_is_looked_for_as_the_first_is():
     two, three = field_net(2), field_net(3)
     load_fitting(three, two.state_dict())
     own, known = three.state_dict(), two.state_dict()
-    where = "eye.first.where.weight"
+    where = "perception.first.where.weight"
     torch.testing.assert_close(own[where], torch.cat([known[where], known[where][:12]]))
 
 

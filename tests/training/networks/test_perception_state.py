@@ -1,4 +1,4 @@
-"""The convolutional state that begins with what a taught eye reads."""
+"""The convolutional state that begins with the outputs of trained perception."""
 
 from dataclasses import replace
 
@@ -61,9 +61,9 @@ def test_frames_and_what_is_read_of_them_give_the_same_forecast(frames):
     seen = FRAMES[:, :frames]
     with torch.inference_mode():
         made = networks(seen, 5)["it"]
-        reading = networks.encoder.eye(FRAMES[:, :4])
+        reading = networks.encoder.perception(FRAMES[:, :4])
         state = seen_state(reading, torch.zeros_like(reading.centres))
-        finals = networks.encoder.eye.at_rest(FRAMES[:, 4]) if frames == 5 else None
+        finals = networks.encoder.perception.at_rest(FRAMES[:, 4]) if frames == 5 else None
         again = networks.forecast_from(InitialState(state, finals), 5)["it"]
     torch.testing.assert_close(made.positions, again.positions)
     torch.testing.assert_close(made.angular_velocities, again.angular_velocities)

@@ -23,35 +23,35 @@ NOWHERE = torch.full((2, 1, 2), torch.nan)
 
 
 @pytest.fixture(scope="module")
-def eye() -> Perception:
+def perception() -> Perception:
     torch.manual_seed(0)
     return Perception(1, ZoomedRefiner()).eval()
 
 
-def test_a_prompt_is_where_the_closer_look_begins(eye):
+def test_a_prompt_is_where_the_closer_look_begins(perception):
     prompts = torch.tensor([[[0.3, -0.2]], [[torch.nan, torch.nan]]])
     with torch.inference_mode():
-        prompted, alone = eye(FRAMES, prompts), eye(FRAMES)
+        prompted, alone = perception(FRAMES, prompts), perception(FRAMES)
     first = prompted.seen_positions[0]
     torch.testing.assert_close(first[0], prompts[:1].expand(1, 4, 2))
     for one, other in zip(prompted.seen_positions, alone.seen_positions, strict=True):
         torch.testing.assert_close(one[1], other[1])
 
 
-def test_without_a_place_a_prompt_changes_nothing(eye):
+def test_without_a_place_a_prompt_changes_nothing(perception):
     with torch.inference_mode():
-        prompted, alone = eye(FRAMES, NOWHERE), eye(FRAMES)
+        prompted, alone = perception(FRAMES, NOWHERE), perception(FRAMES)
     torch.testing.assert_close(prompted.centres, alone.centres)
 
 
-def test_radii_stay_within_what_can_be_seen(eye):
+def test_radii_stay_within_what_can_be_seen(perception):
     with torch.inference_mode():
-        torch.testing.assert_close(eye(FRAMES).radii, torch.full((2, 1), USUAL_RADIUS))
-        eye.zoomed.size.bias.fill_(9)
-        torch.testing.assert_close(eye(FRAMES).radii, torch.full((2, 1), LARGEST_SEEN))
-        eye.zoomed.size.bias.fill_(-9)
-        torch.testing.assert_close(eye(FRAMES).radii, torch.full((2, 1), SMALLEST_SEEN))
-        eye.zoomed.size.bias.zero_()
+        torch.testing.assert_close(perception(FRAMES).radii, torch.full((2, 1), USUAL_RADIUS))
+        perception.zoomed.size.bias.fill_(9)
+        torch.testing.assert_close(perception(FRAMES).radii, torch.full((2, 1), LARGEST_SEEN))
+        perception.zoomed.size.bias.fill_(-9)
+        torch.testing.assert_close(perception(FRAMES).radii, torch.full((2, 1), SMALLEST_SEEN))
+        perception.zoomed.size.bias.zero_()
 
 
 def test_corrections_scale_with_the_patch():
@@ -70,23 +70,23 @@ def test_it_begins_as_a_network_without_it():
     torch.manual_seed(2)
     plain, zoomed = FieldNet(Task()).eval(), FieldNet(Task(), ZoomedRefiner()).eval()
     with torch.no_grad():
-        plain.eye.closer.correction.weight.normal_(std=0.01)
+        plain.perception.closer.correction.weight.normal_(std=0.01)
     taken = load_fitting(zoomed, plain.state_dict())
-    assert any(name.startswith("eye.zoomed.look.") for name in taken)
+    assert any(name.startswith("perception.zoomed.look.") for name in taken)
     with torch.inference_mode():
         one, other = plain(FRAMES, 3), zoomed(FRAMES, 3)
     torch.testing.assert_close(one.positions, other.positions)
     with torch.no_grad():
-        zoomed.eye.zoomed.look.correction.bias.fill_(0.1)
+        zoomed.perception.zoomed.look.correction.bias.fill_(0.1)
     again = FieldNet(Task(), ZoomedRefiner())
     load_fitting(again, zoomed.state_dict())
-    assert float(again.eye.zoomed.look.correction.bias.detach()[0]) == pytest.approx(0.1)
+    assert float(again.perception.zoomed.look.correction.bias.detach()[0]) == pytest.approx(0.1)
 
 
 def test_it_is_a_preset_of_its_own():
     (network,) = PRESETS["zoomed"]({"fieldnet": "fieldnet"}, Task()).networks().values()
     assert isinstance(network, FieldNet)
-    assert network.eye.zoomed is not None
+    assert network.perception.zoomed is not None
     with pytest.raises(ValueError, match="only have the variant fieldnet"):
         PRESETS["zoomed"]({"posnet": "posnet"}, Task())
 
@@ -94,7 +94,7 @@ def test_it_is_a_preset_of_its_own():
 def test_every_parameter_of_it_is_used():
     """An unused one would be missing in an exported graph."""
     torch.manual_seed(3)
-    eye = Perception(1, ZoomedRefiner())
-    looks, *read = eye(FRAMES)
+    perception = Perception(1, ZoomedRefiner())
+    looks, *read = perception(FRAMES)
     sum(part.square().sum() for part in (*looks, *read)).backward()
-    assert all(parameter.grad is not None for parameter in eye.parameters())
+    assert all(parameter.grad is not None for parameter in perception.parameters())

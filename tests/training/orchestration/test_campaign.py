@@ -98,7 +98,7 @@ def finish_in(folder, chosen: Round, outcome: Outcome) -> None:
 
 
 def test_models_of_another_preset_are_no_beginning(tmp_path):
-    """The committed PosNet is none that sees with FieldNet's eye, unless it says so."""
+    """The committed PosNet is none that sees with FieldNet's perception, unless it says so."""
     committed = Manifest.read(MODELS / "posnet" / "1" / MANIFEST_FILE)
     for base in (one_ball(), sighted_one_ball()):
         found = {folder.parent.name for folder in own_models(base, MODELS)}
