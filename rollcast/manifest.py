@@ -11,7 +11,6 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import (
     AfterValidator,
-    AliasChoices,
     BaseModel,
     ConfigDict,
     Field,
@@ -136,16 +135,14 @@ class MetricRow(_Part):
     standard_error_px: float | None = None
     angular_velocity_rmse: float | None = None
     """rad/s."""
-    nll_nats: Annotated[
-        float | None, Field(validation_alias=AliasChoices("nll_nats", "perplexity"))
-    ] = None
-    """Mean negative log likelihood. Committed manifests name it as the paper does, "perplexity"."""
+    nll_nats: float | None = None
+    """Mean negative log likelihood; the paper calls it perplexity."""
     coverage_50: float | None = None
     """Share of truths inside the 50 % ellipse."""
     coverage_95: float | None = None
-    stays_put_px: float | None = None
+    constant_position_px: float | None = None
     """Error of the baseline that stays at the true position of t = 0, same scenes."""
-    line_px: float | None = None
+    linear_extrapolation_px: float | None = None
     """Error of a line through the first 10 true positions, same scenes."""
 
 

@@ -41,7 +41,7 @@ SEED = 7
 HORIZON = 20
 """Horizon of the test forecast; every model was trained for at least this many steps."""
 LARGEST_ERROR_PX = 10.0
-"""Mean distance in 128 x 128 frames; a forecast that stays put errs more than twice as much."""
+"""Mean distance in 128 x 128 frames; constant position errs more than twice as much."""
 
 
 class Finding(NamedTuple):

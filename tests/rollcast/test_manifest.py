@@ -56,13 +56,11 @@ FIELDS = {
 numbers = st.floats(0.01, 1e4)
 
 
-@pytest.mark.parametrize("name", ["nll_nats", "perplexity"])
-def test_the_likelihood_is_read_by_both_names_and_written_by_one(name):
+@pytest.mark.parametrize("name", ["perplexity", "stays_put_px", "line_px"])
+def test_former_names_of_metrics_are_rejected(name):
     row = {**FIELDS["metrics"][0], name: 2.5}
-    (read,) = Manifest.model_validate({**FIELDS, "metrics": [row]}).metrics
-    assert read.nll_nats == 2.5
-    assert read.model_dump()["nll_nats"] == 2.5
-    assert "perplexity" not in read.model_dump()
+    with pytest.raises(ValueError, match=name):
+        Manifest.model_validate({**FIELDS, "metrics": [row]})
 
 
 @given(

@@ -17,7 +17,7 @@ from training.data.shards import Recording, Source, load_recordings, simulate_sp
 from training.data.splits import Split
 from training.data.windows import Window, fixed_windows, generated_horizon
 from training.networks.recurrent import Family, Network
-from training.objectives.metrics import Forecasts, forecast, stays_put
+from training.objectives.metrics import Forecasts, constant_positions, forecast
 
 Shown = TypeVar("Shown", bound=Domain)
 """What forecasts show: scenarios, or footage."""
@@ -133,7 +133,7 @@ def metric_rows(
         horizons = sorted({1, longest // 4, longest // 2, longest, trained_horizon})
         made = forecasts[part.scenario]
         truth = made.true_positions
-        rest = np.linalg.norm(stays_put(truth) - truth, axis=-1).mean(axis=(0, 1))
+        rest = np.linalg.norm(constant_positions(truth) - truth, axis=-1).mean(axis=(0, 1))
         line = np.linalg.norm(part.line - truth, axis=-1).mean(axis=(0, 1))
         for horizon, measured in measured_at(made, horizons).items():
             step = horizon - 1
@@ -144,8 +144,8 @@ def metric_rows(
                     horizon=horizon,
                     sequences=len(truth),
                     **measured._asdict(),
-                    stays_put_px=rounded(rest[step]),
-                    line_px=rounded(line[step]),
+                    constant_position_px=rounded(rest[step]),
+                    linear_extrapolation_px=rounded(line[step]),
                 )
             )
     return rows
@@ -165,7 +165,7 @@ def markdown_table(rows: Sequence[MetricRow]) -> str:
             f"{row.position_error_px:.2f} ± {row.standard_error_px:.2f}",
             _cell(row.angular_velocity_rmse), _cell(row.nll_nats),
             _cell(row.coverage_50), _cell(row.coverage_95),
-            _cell(row.stays_put_px), _cell(row.line_px),
+            _cell(row.constant_position_px), _cell(row.linear_extrapolation_px),
         ) for row in rows],
     )  # fmt: skip
 

@@ -23,7 +23,7 @@ LONGEST_FRAMES = 900
 class Difficulty:
     """Averages over scenes of one scenario."""
 
-    line_px: tuple[float, float]
+    linear_extrapolation_px: tuple[float, float]
     angular_speed_rad_s: float
     """Until the ball has stopped."""
 
@@ -57,7 +57,7 @@ def report(scenes: int) -> str:
         ours = measure(scenario, scenes)
         line = [
             f"{error:.1f} ({_line_of_the_paper(scenario, at)})"
-            for error, at in zip(ours.line_px, ("T=20", "T=40"), strict=True)
+            for error, at in zip(ours.linear_extrapolation_px, ("T=20", "T=40"), strict=True)
         ]
         speed = f"{ours.angular_speed_rad_s:.2f} ({angular_speed_rad_s(scenario)})"
         lines.append((scenario, *line, speed))

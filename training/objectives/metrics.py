@@ -132,6 +132,6 @@ def _joined(parts: Sequence[torch.Tensor | None]) -> np.ndarray | None:
     return torch.cat(tensors).numpy() if tensors else None
 
 
-def stays_put(positions: Float[np.ndarray, "sequences objects steps 2"]) -> np.ndarray:
+def constant_positions(positions: Float[np.ndarray, "sequences objects steps 2"]) -> np.ndarray:
     """Forecast that every ball rests where it is at t = 0."""
     return np.broadcast_to(positions[:, :, :1], positions.shape)

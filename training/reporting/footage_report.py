@@ -27,7 +27,7 @@ from training.data.windows import Batch, Window, collate
 from training.evaluation.evaluate import mean_error
 from training.export.export import fit_covariance, with_covariance
 from training.networks.recurrent import Family
-from training.objectives.metrics import Forecasts, beside_truth, forecast, stays_put
+from training.objectives.metrics import Forecasts, beside_truth, constant_positions, forecast
 from training.objectives.schedules import Cosine, Exponential, Plateau
 from training.recipes.recipe import Recipe
 from training.recipes.setup import T_GEN, T_TRAIN
@@ -142,7 +142,7 @@ def _network(setup: SetupClips, recipe: Recipe) -> Forecasts:
 def _constant_position(setup: SetupClips) -> Forecasts:
     windows = setup.windows("test")
     truth = np.stack([window.positions for window in windows])
-    return beside_truth(windows, stays_put(truth), None, None)
+    return beside_truth(windows, constant_positions(truth), None, None)
 
 
 def _least_squares(degree: int, setup: SetupClips) -> Forecasts:

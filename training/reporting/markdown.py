@@ -42,7 +42,11 @@ def overview(manifests: Sequence[Manifest]) -> str:
             continue
         paper = published(scenario, 1, "posnet", f"T={README_HORIZON}")
         errors = [None if row is None else row.position_error_px for row in rows]
-        errors += [first.stays_put_px, first.line_px, paper and paper.position_error_px]
+        errors += [
+            first.constant_position_px,
+            first.linear_extrapolation_px,
+            paper and paper.position_error_px,
+        ]
         lines.append((f"{scenario} ({first.sequences})", *(_cell(error, 1) for error in errors)))
     names = [manifest.name for manifest in models]
     heads = [*names, CONSTANT_POSITION, LINEAR_EXTRAPOLATION, "PosNet in the paper"]

@@ -25,7 +25,7 @@ from training.evaluation.evaluate import (
 from training.evaluation.paper import CONSTANT_POSITION, LINEAR_EXTRAPOLATION, published
 from training.export.export import with_covariance
 from training.export.load import load_exported
-from training.objectives.metrics import Forecasts, stays_put
+from training.objectives.metrics import Forecasts, constant_positions
 
 LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))
 """Nominal shares of truths inside an ellipse at which calibration is measured."""
@@ -252,7 +252,7 @@ def _measure_baselines(
     truth = np.stack([window.positions for window in part.windows])
     made: list[tuple[list[Measurement], Curve]] = []
     for method, positions in (
-        (CONSTANT_POSITION, stays_put(truth)),
+        (CONSTANT_POSITION, constant_positions(truth)),
         (LINEAR_EXTRAPOLATION, part.line),
     ):
         errors = np.linalg.norm(positions - truth, axis=-1)

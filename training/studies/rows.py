@@ -12,7 +12,7 @@ from rollcast.trajectory import OBSERVED_FRAMES
 from training.baselines.least_squares import POINTS, polynomial
 from training.baselines.oracle import Oracle
 from training.common.settings import runs_folder
-from training.objectives.metrics import Forecasts, beside_truth, stays_put
+from training.objectives.metrics import Forecasts, beside_truth, constant_positions
 from training.studies.benchmark_case import BenchmarkCase, FixedScenes
 
 LEGEND = """Each cell gives the mean error on 500 test scenes in pixels of 128 x 128 frames,
@@ -152,7 +152,7 @@ def constant_position() -> Row:
 
     def measure(test: FixedScenes, budget: StudyBudget) -> Outcome:  # noqa: ARG001
         truth = np.stack([window.positions for window in test.truth])
-        return Outcome(beside_truth(test.truth, stays_put(truth), None, None))
+        return Outcome(beside_truth(test.truth, constant_positions(truth), None, None))
 
     return Row(
         "constant position", measure, "true position of t = 0", "-", learns=False, given_states=True

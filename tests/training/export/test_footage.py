@@ -78,7 +78,10 @@ def test_the_manifest_tells_of_the_set_up(models):
 
 def test_a_line_errs_by_nothing_on_a_straight_way(models):
     manifest = Manifest.read(models / "arena" / "3" / MANIFEST_FILE)
-    assert all(row.line_px is not None and row.line_px < 1e-3 for row in manifest.metrics)
+    assert all(
+        row.linear_extrapolation_px is not None and row.linear_extrapolation_px < 1e-3
+        for row in manifest.metrics
+    )
 
 
 def test_training_goes_on_from_the_export(models):

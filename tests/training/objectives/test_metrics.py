@@ -1,11 +1,11 @@
 import numpy as np
 
-from training.objectives.metrics import Forecasts, stays_put
+from training.objectives.metrics import Forecasts, constant_positions
 
 
 def test_staying_put_repeats_the_first_step():
     positions = np.random.default_rng(0).normal(size=(2, 1, 6, 2))
-    assert (stays_put(positions) == positions[:, :, :1]).all()
+    assert (constant_positions(positions) == positions[:, :, :1]).all()
 
 
 def test_a_gaussian_forecast_of_gaussian_truth_is_calibrated():

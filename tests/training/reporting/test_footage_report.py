@@ -55,7 +55,7 @@ def by_balls(rows: list[Measured]) -> dict[str, dict[int, float]]:
     return {row.balls: {t: error for t, (error, _) in row.errors.items()} for row in rows}
 
 
-def test_who_stays_put_errs_by_the_way_that_balls_go(setup):
+def test_constant_position_errs_by_the_displacement_of_the_balls(setup):
     errors = by_balls(list(measure(setup, ["constant position"], [])))
     for t in (T_TRAIN, T_GEN):
         assert errors["all"][t] == pytest.approx(np.mean(SPEED_PX) * (t - 1), abs=1e-3)
