@@ -243,7 +243,7 @@ def test_a_final_frame_of_footage(page: Page, clips):
     page.click("#go")
     until_forecast(page)
     expect(page.locator("#strip li")).to_have_count(5)
-    expect(page.locator("#legend")).to_contain_text("fieldnet-between")
+    expect(page.locator("#legend")).to_contain_text("fieldnet-interpolation")
 
 
 def image(size: tuple[int, int]) -> bytes:

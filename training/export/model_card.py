@@ -10,12 +10,12 @@ from training.export.spec import Trained
 ARCHITECTURES = {
     "field": "FieldNet, a network with an explicit state: ground map, ball positions, velocities",
     "zoomed": "FieldNet with a second, zoomed pass of its perception",
-    "sighted": "a recurrent network with an 8 x 8 x 128 state from FieldNet's perception",
+    "perception_init": "a recurrent network with an 8 x 8 x 128 state from FieldNet's perception",
     "compact": "the paper's network with a smaller encoder and an 8 x 8 x 128 state",
     "paper": "the paper's network with VGG16 and an 8 x 8 x 512 state",
 }
 """Architecture of every preset, in words."""
-EXPLICIT = frozenset({"field", "zoomed", "sighted"})
+EXPLICIT = frozenset({"field", "zoomed", "perception_init"})
 """Presets whose networks are also supervised by the simulator's ground, heights and velocities."""
 
 

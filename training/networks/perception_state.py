@@ -1,4 +1,4 @@
-"""The sighted preset: a convolutional state initialised from the outputs of perception.
+"""The preset perception_init: a convolutional state initialised from the outputs of perception.
 
 Perception is FieldNet's (``perception.py``), pretrained. Ground map and ball states are spread over
 8 x 8 cells. From there on the state is learned, as in the compact preset, whose heads are reused.
@@ -215,7 +215,7 @@ class PerceptionStateFamily(SharedStateFamily, PerceptionFamily):
 
 
 def perception_state_family(variants: Mapping[str, str], task: Task) -> Family:
-    """Make a family in the sighted preset (see :class:`training.networks.presets.Preset`)."""
+    """Make a perception-initialised family (see :class:`training.networks.presets.Preset`)."""
     encoder = PerceptionStateEncoder(task, CHANNELS)
     interaction = ObjectInteraction() if task.meetings else None
     transition = AttendedTransition(CHANNELS, interaction)

@@ -30,5 +30,5 @@ PRESETS: Mapping[str, Preset] = {
     "paper": paper_family,
     "field": field_family,
     "zoomed": zoomed_family,
-    "sighted": perception_state_family,
+    "perception_init": perception_state_family,
 }

@@ -18,17 +18,17 @@ from training.engine.warm_start import Initial
 from training.export.load import read_initial
 from training.recipes.field import (
     field_one_ball,
-    field_one_ball_between,
+    field_one_ball_interpolation,
     field_several_balls,
-    field_several_balls_between,
+    field_several_balls_interpolation,
+)
+from training.recipes.perception_init import (
+    perception_init_one_ball,
+    perception_init_one_ball_interpolation,
+    perception_init_several_balls,
+    perception_init_several_balls_interpolation,
 )
 from training.recipes.recipe import Recipe, continued
-from training.recipes.sighted import (
-    sighted_one_ball,
-    sighted_one_ball_between,
-    sighted_several_balls,
-    sighted_several_balls_between,
-)
 from training.reporting.results import committed
 
 OUTCOME = "outcome.json"
@@ -81,18 +81,21 @@ def lines() -> tuple[Line, ...]:
         Line(field_one_ball()),
         Line(field_several_balls(2), parents=("fieldnet",)),
         Line(field_several_balls(3), parents=("fieldnet-2",)),
-        Line(field_one_ball_between(), parents=("fieldnet",)),
-        Line(field_several_balls_between(2), parents=("fieldnet-2",)),
-        Line(field_several_balls_between(3), parents=("fieldnet-3",)),
+        Line(field_one_ball_interpolation(), parents=("fieldnet",)),
+        Line(field_several_balls_interpolation(2), parents=("fieldnet-2",)),
+        Line(field_several_balls_interpolation(3), parents=("fieldnet-3",)),
         # Perception comes from the first, parameters that the first lacks from the others.
-        Line(sighted_one_ball(), parents=("fieldnet",)),
-        Line(sighted_one_ball_between(), parents=("fieldnet", "dispnet")),
-        Line(sighted_several_balls(2), parents=("fieldnet-2", "posnet", "dispnet", "probnet")),
+        Line(perception_init_one_ball(), parents=("fieldnet",)),
+        Line(perception_init_one_ball_interpolation(), parents=("fieldnet", "dispnet")),
         Line(
-            sighted_several_balls(3), parents=("fieldnet-3", "posnet-2", "dispnet-2", "probnet-2")
+            perception_init_several_balls(2), parents=("fieldnet-2", "posnet", "dispnet", "probnet")
         ),
-        Line(sighted_several_balls_between(2), parents=("fieldnet-2", "interpnet")),
-        Line(sighted_several_balls_between(3), parents=("fieldnet-3", "interpnet-2")),
+        Line(
+            perception_init_several_balls(3),
+            parents=("fieldnet-3", "posnet-2", "dispnet-2", "probnet-2"),
+        ),
+        Line(perception_init_several_balls_interpolation(2), parents=("fieldnet-2", "interpnet")),
+        Line(perception_init_several_balls_interpolation(3), parents=("fieldnet-3", "interpnet-2")),
     )
 
 

@@ -7,61 +7,65 @@ from rollcast.scene import MAX_FORECAST_OBJECTS
 from training.recipes.appearance import field_one_ball_appearance
 from training.recipes.compact import (
     one_ball,
-    one_ball_between,
+    one_ball_interpolation,
     several_balls,
-    several_balls_between,
+    several_balls_interpolation,
 )
 from training.recipes.field import (
     field_one_ball,
-    field_one_ball_between,
     field_one_ball_continued,
-    field_one_ball_doubt,
+    field_one_ball_covariance,
+    field_one_ball_interpolation,
     field_one_ball_rolling,
     field_one_ball_seeing,
     field_several_balls,
-    field_several_balls_between,
+    field_several_balls_interpolation,
 )
 from training.recipes.paper import paper_dispnet, paper_interpnet, paper_posnet, paper_probnet
+from training.recipes.perception_init import (
+    perception_init_one_ball,
+    perception_init_one_ball_further,
+    perception_init_one_ball_interpolation,
+    perception_init_several_balls,
+    perception_init_several_balls_further,
+    perception_init_several_balls_interpolation,
+)
 from training.recipes.recipe import Recipe
 from training.recipes.setup import setup, setup_continued, setup_seeing
-from training.recipes.sighted import (
-    sighted_one_ball,
-    sighted_one_ball_between,
-    sighted_one_ball_further,
-    sighted_several_balls,
-    sighted_several_balls_between,
-    sighted_several_balls_further,
-)
 from training.recipes.tiny import tiny
 
 RECIPES: Mapping[str, Callable[[], Recipe]] = {
     "tiny": tiny,
     "one-ball": one_ball,
-    "one-ball-between": one_ball_between,
+    "one-ball-interpolation": one_ball_interpolation,
     "2-balls": partial(several_balls, 2),
     "3-balls": partial(several_balls, 3),
-    "2-balls-between": partial(several_balls_between, 2),
-    "3-balls-between": partial(several_balls_between, 3),
+    "2-balls-interpolation": partial(several_balls_interpolation, 2),
+    "3-balls-interpolation": partial(several_balls_interpolation, 3),
     "field-one-ball": field_one_ball,
     "field-one-ball-continued": field_one_ball_continued,
     "field-one-ball-seeing": field_one_ball_seeing,
     "field-one-ball-rolling": field_one_ball_rolling,
-    "field-one-ball-doubt": field_one_ball_doubt,
+    "field-one-ball-covariance": field_one_ball_covariance,
     "field-one-ball-appearance": field_one_ball_appearance,
     "field-2-balls": partial(field_several_balls, 2),
     "field-3-balls": partial(field_several_balls, 3),
-    "field-one-ball-between": field_one_ball_between,
-    "field-2-balls-between": partial(field_several_balls_between, 2),
-    "field-3-balls-between": partial(field_several_balls_between, 3),
-    "sighted-one-ball": sighted_one_ball,
-    "sighted-one-ball-further": sighted_one_ball_further,
-    "sighted-one-ball-between": sighted_one_ball_between,
-    "sighted-2-balls": partial(sighted_several_balls, 2),
-    "sighted-3-balls": partial(sighted_several_balls, 3),
-    "sighted-2-balls-further": partial(sighted_several_balls_further, 2),
-    "sighted-3-balls-further": partial(sighted_several_balls_further, 3),
-    "sighted-2-balls-between": partial(sighted_several_balls_between, 2),
-    "sighted-3-balls-between": partial(sighted_several_balls_between, 3),
+    "field-one-ball-interpolation": field_one_ball_interpolation,
+    "field-2-balls-interpolation": partial(field_several_balls_interpolation, 2),
+    "field-3-balls-interpolation": partial(field_several_balls_interpolation, 3),
+    "perception-init-one-ball": perception_init_one_ball,
+    "perception-init-one-ball-further": perception_init_one_ball_further,
+    "perception-init-one-ball-interpolation": perception_init_one_ball_interpolation,
+    "perception-init-2-balls": partial(perception_init_several_balls, 2),
+    "perception-init-3-balls": partial(perception_init_several_balls, 3),
+    "perception-init-2-balls-further": partial(perception_init_several_balls_further, 2),
+    "perception-init-3-balls-further": partial(perception_init_several_balls_further, 3),
+    "perception-init-2-balls-interpolation": partial(
+        perception_init_several_balls_interpolation, 2
+    ),
+    "perception-init-3-balls-interpolation": partial(
+        perception_init_several_balls_interpolation, 3
+    ),
     "paper-posnet": paper_posnet,
     "paper-dispnet": paper_dispnet,
     "paper-probnet": paper_probnet,

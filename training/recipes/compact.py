@@ -39,11 +39,11 @@ def one_ball() -> Recipe:
     )
 
 
-def one_ball_between() -> Recipe:
+def one_ball_interpolation() -> Recipe:
     """InterpNet for one ball in all scenarios, with the frame of step 39."""
     return replace(
         one_ball(),
-        name="one-ball-between",
+        name="one-ball-interpolation",
         members=(interpolating(suffix=""),),
         sequences=200_000,
         curriculum=(Milestone(0.0, 10), Milestone(0.3, 20), Milestone(0.6, 40)),
@@ -65,11 +65,11 @@ def several_balls(objects: int) -> Recipe:
     )
 
 
-def several_balls_between(objects: int) -> Recipe:
+def several_balls_interpolation(objects: int) -> Recipe:
     """InterpNet for two or three balls, with the frame of step 29."""
     return replace(
         several_balls(objects),
-        name=f"{objects}-balls-between",
+        name=f"{objects}-balls-interpolation",
         members=(interpolating(suffix=f"-{objects}"),),
         curriculum=(Milestone(0.0, 8), Milestone(0.3, 15), Milestone(0.6, 30)),
         task=Task(objects, final_step=29),

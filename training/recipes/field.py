@@ -99,7 +99,7 @@ def field_one_ball_rolling() -> Recipe:
     )
 
 
-def field_one_ball_doubt() -> Recipe:
+def field_one_ball_covariance() -> Recipe:
     """Train the covariance of a trained FieldNet (``--init``), up to T_gen.
 
     No gradients pass through the rollout, so the long horizon does not destabilise the training.
@@ -108,7 +108,7 @@ def field_one_ball_doubt() -> Recipe:
     motion = ("layers.", "change.", "linear.")
     return replace(
         recipe,
-        name="field-one-ball-doubt",
+        name="field-one-ball-covariance",
         members=(_explicit("fieldnet", halving=40, outlier=5.0),),
         sequences=384_000,
         curriculum=(Milestone(0, 40),),
@@ -148,20 +148,22 @@ def field_several_balls(objects: int) -> Recipe:
     )
 
 
-def field_one_ball_between() -> Recipe:
+def field_one_ball_interpolation() -> Recipe:
     """FieldNet with a final frame: trains the endpoint correction of a FieldNet (``--init``)."""
-    return _between(field_one_ball(), "field-one-ball-between", "fieldnet-between", final_step=39)
+    return _interpolation(
+        field_one_ball(), "field-one-ball-interpolation", "fieldnet-interpolation", final_step=39
+    )
 
 
-def field_several_balls_between(objects: int) -> Recipe:
+def field_several_balls_interpolation(objects: int) -> Recipe:
     """FieldNet with a final frame for two or three balls (``--init``)."""
-    name, member = f"field-{objects}-balls-between", f"fieldnet-{objects}-between"
-    recipe = _between(field_several_balls(objects), name, member, final_step=29)
+    name, member = f"field-{objects}-balls-interpolation", f"fieldnet-{objects}-interpolation"
+    recipe = _interpolation(field_several_balls(objects), name, member, final_step=29)
     # Ways in bowls end well by themselves: there is little to learn.
     return replace(recipe, sequences=128_000, replay_windows=6_400)
 
 
-def _between(recipe: Recipe, name: str, member: str, final_step: int) -> Recipe:
+def _interpolation(recipe: Recipe, name: str, member: str, final_step: int) -> Recipe:
     """Return a recipe for the endpoint correction; perception and motion are frozen."""
     return replace(
         recipe,

@@ -27,7 +27,7 @@ def with_results(text: str, manifests: Sequence[Manifest]) -> str:
     return f"{before}{BEGIN}\n\n{overview(manifests)}\n\n{END}{after}"
 
 
-README_MODELS = ("fieldnet", "fieldnet-between", "posnet")
+README_MODELS = ("fieldnet", "fieldnet-interpolation", "posnet")
 README_HORIZON = 20
 
 

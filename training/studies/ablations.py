@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from training.data.shards import SceneOverride
 from training.networks.task import Task
-from training.recipes.compact import one_ball_between, several_balls
+from training.recipes.compact import one_ball_interpolation, several_balls
 from training.recipes.recipe import Milestone, Recipe
 from training.studies.benchmark_case import BenchmarkCase
 from training.studies.claims import NO_MODULE
@@ -66,7 +66,7 @@ def trained_to(steps: int) -> Recipe:
 def between() -> Recipe:
     """Return InterpNet, from nothing, on all three scenarios in equal parts."""
     data = of_one_ball(angular_velocity=True).data
-    return replace(one_ball_between(), data=data)
+    return replace(one_ball_interpolation(), data=data)
 
 
 def _textures() -> tuple[Row, ...]:
@@ -115,7 +115,7 @@ def _interpolation() -> tuple[Row, ...]:
             for suffix in ("", "-2", "-3")
             for name in ("dispnet", "fieldnet", "interpnet")
         ),
-        *(shipped(MODELS / f"fieldnet{part}-between" / "1") for part in ("", "-2", "-3")),
+        *(shipped(MODELS / f"fieldnet{part}-interpolation" / "1") for part in ("", "-2", "-3")),
     )
 
 

@@ -28,7 +28,7 @@ COMPACT_ARCHITECTURE = "compact, 8 x 8 x 128 state"
 ARCHITECTURES = {
     "compact": COMPACT_ARCHITECTURE,
     "field": "FieldNet, explicit state",
-    "sighted": "perception-initialised, 8 x 8 x 128 state",
+    "perception_init": "perception-initialised, 8 x 8 x 128 state",
 }
 """Architecture of every preset, in words."""
 FULL_SUPERVISION = "ground, heights, 3-D velocities, angular velocities"

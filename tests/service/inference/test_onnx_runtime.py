@@ -53,7 +53,7 @@ def test_models_with_the_same_perception_share_it_whether_they_see_a_final_frame
         assert np.abs(difference).max() < 0.01
 
 
-@pytest.mark.parametrize("name", ["fieldnet", "fieldnet-between"])
+@pytest.mark.parametrize("name", ["fieldnet", "fieldnet-interpolation"])
 def test_a_second_core_changes_no_bit(name):
     model = predictor(name)
     with np.load(MODELS / name / "1" / GOLDEN_FILE) as golden:

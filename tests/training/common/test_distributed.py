@@ -20,14 +20,14 @@ from training.engine.loop import TrainerConfig
 from training.engine.trainer import Trainer
 from training.recipes.compact import one_ball
 from training.recipes.field import field_one_ball_rolling
-from training.recipes.sighted import sighted_one_ball
+from training.recipes.perception_init import perception_init_one_ball
 
 PACE = TrainerConfig(validate_every=4, checkpoint_seconds=1e9, workers=0)
 PROCESSES = 2
 RECIPES = {
     "shared state": one_ball,
     "practice and readings": field_one_ball_rolling,
-    "sighted state": sighted_one_ball,
+    "perception-initialised state": perception_init_one_ball,
 }
 
 

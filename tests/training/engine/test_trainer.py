@@ -16,21 +16,21 @@ from training.networks.task import Task
 from training.recipes.compact import one_ball
 from training.recipes.field import (
     field_one_ball,
-    field_one_ball_between,
+    field_one_ball_interpolation,
     field_one_ball_rolling,
     field_one_ball_seeing,
     field_several_balls,
 )
+from training.recipes.perception_init import perception_init_one_ball
 from training.recipes.recipe import Milestone, horizon_at, longest_rollout
-from training.recipes.sighted import sighted_one_ball
 from training.reporting.plots import draw_training
 
 PACE = TrainerConfig(validate_every=4, checkpoint_seconds=0, workers=0)
 
 
 @pytest.fixture(
-    params=[one_ball, field_one_ball, sighted_one_ball],
-    ids=["shared state", "explicit state", "sighted state"],
+    params=[one_ball, field_one_ball, perception_init_one_ball],
+    ids=["shared state", "explicit state", "perception-initialised state"],
 )
 def any_recipe(request, runs):
     return tiny(request.param())
@@ -78,7 +78,7 @@ def test_training_lowers_the_error_and_keeps_the_best(any_recipe, tmp_path):
     assert best["sequences"] <= any_recipe.sequences
     assert best["horizon"] == longest_rollout(any_recipe, best["sequences"] / any_recipe.sequences)
     changed = [n for n, v in trainer.family.state_dict().items() if not torch.equal(v, before[n])]
-    taught = any_recipe.preset != "sighted"
+    taught = any_recipe.preset != "perception_init"
     assert set(changed) == {name for name in before if taught or ".perception." not in name}
 
 
@@ -111,7 +111,7 @@ def test_a_taught_eye_can_be_left_as_it_is(runs, tmp_path):
 
 @pytest.fixture
 def bending(runs):
-    return replace(tiny(field_one_ball_between()), task=Task(final_step=3))
+    return replace(tiny(field_one_ball_interpolation()), task=Task(final_step=3))
 
 
 def test_windows_are_read_once_and_replayed(bending, tmp_path):

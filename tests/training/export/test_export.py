@@ -16,7 +16,7 @@ from training.export.load import load_exported, read_initial, read_parameters
 from training.export.spec import Trained
 from training.networks.perception import PerceptionNetwork
 from training.objectives.metrics import Forecasts
-from training.recipes.compact import one_ball, one_ball_between
+from training.recipes.compact import one_ball, one_ball_interpolation
 from training.recipes.field import field_one_ball
 
 ROOT = Path(__file__).parents[3]
@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[3]
 @pytest.fixture(scope="module", params=["posnet", "probnet", "interpnet", "fieldnet"])
 def exported(request, runs, tmp_path_factory):
     name = request.param
-    recipes = {"interpnet": one_ball_between, "fieldnet": field_one_ball}
+    recipes = {"interpnet": one_ball_interpolation, "fieldnet": field_one_ball}
     recipe = tiny(recipes.get(name, one_ball)())
     torch.manual_seed(5)
     predictor = recipe.build().networks()[name]

@@ -16,8 +16,8 @@ from training.export.export import export_run
 from training.export.load import load_exported, read_initial
 from training.networks.compact import compact_family
 from training.networks.task import Task
-from training.recipes.compact import several_balls_between
-from training.recipes.field import field_several_balls, field_several_balls_between
+from training.recipes.compact import several_balls_interpolation
+from training.recipes.field import field_several_balls, field_several_balls_interpolation
 from training.recipes.recipe import DataShare, Recipe
 
 MODELS = Path(__file__).parents[3] / "models"
@@ -27,7 +27,7 @@ PACE = TrainerConfig(validate_every=2, checkpoint_seconds=1e9, workers=0)
 
 @pytest.fixture(scope="module")
 def two_balls(runs) -> Recipe:
-    base = several_balls_between(2)
+    base = several_balls_interpolation(2)
     # The encoder's graph holds every step until the final one, and takes as long to export.
     base = replace(base, task=replace(base.task, final_step=FINAL_STEP))
     data = (DataShare(Source("ellipsoid", 2), SHARD_SCENES, share=1, latest_start=100),)
@@ -83,7 +83,7 @@ def test_a_wider_network_begins_as_the_narrower_one(two_balls, posnet, tmp_path)
     assert not own[first][:, 128:].any()
 
 
-@pytest.mark.parametrize("make", [field_several_balls, field_several_balls_between])
+@pytest.mark.parametrize("make", [field_several_balls, field_several_balls_interpolation])
 def test_two_balls_with_an_explicit_state_go_all_the_way(make, runs, tmp_path):
     base = make(2)
     if base.task.final_step is not None:

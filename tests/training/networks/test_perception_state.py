@@ -20,7 +20,10 @@ from training.networks.perception_state import (
 )
 from training.networks.recurrent import State
 from training.networks.task import Task
-from training.recipes.sighted import sighted_one_ball, sighted_one_ball_between
+from training.recipes.perception_init import (
+    perception_init_one_ball,
+    perception_init_one_ball_interpolation,
+)
 
 FRAMES = torch.randint(
     0, 256, (2, 5, 128, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(3)
@@ -128,7 +131,7 @@ def test_two_balls_begin_as_one_ball_twice():
             torch.testing.assert_close(together[:, ball : ball + 1], alone)
 
 
-@pytest.mark.parametrize("base", [sighted_one_ball, sighted_one_ball_between])
+@pytest.mark.parametrize("base", [perception_init_one_ball, perception_init_one_ball_interpolation])
 def test_it_goes_all_the_way(runs, tmp_path, base):
     recipe = replace(tiny(base()), sequences=16, members=base().members[-1:])
     if recipe.task.frames == 5:
@@ -137,7 +140,7 @@ def test_it_goes_all_the_way(runs, tmp_path, base):
     Trainer(recipe, tmp_path, PACE, [taught]).run()
     export_run(recipe, tmp_path, tmp_path, 1, SHARD_SCENES, workers=1)
     manifest, network = load_exported(tmp_path / recipe.members[0].name / "1")
-    assert (manifest.preset, manifest.frames) == ("sighted", recipe.task.frames)
+    assert (manifest.preset, manifest.frames) == ("perception_init", recipe.task.frames)
     assert manifest.training["sequences"] == 116
     with torch.inference_mode():
         forecast = network(torch.zeros(1, recipe.task.frames, 128, 128, 3, dtype=torch.uint8), 3)

@@ -18,7 +18,7 @@ from training.orchestration.campaign import (
     own_models,
 )
 from training.recipes.compact import one_ball, several_balls
-from training.recipes.sighted import sighted_one_ball
+from training.recipes.perception_init import perception_init_one_ball
 
 MODELS = Path(__file__).parents[3] / "models"
 
@@ -26,7 +26,7 @@ MODELS = Path(__file__).parents[3] / "models"
 @pytest.fixture
 def known() -> list[Line]:
     return [
-        Line(replace(sighted_one_ball(), name="one-ball")),
+        Line(replace(perception_init_one_ball(), name="one-ball")),
         Line(several_balls(2), parents=("posnet", "probnet")),
     ]
 
@@ -100,7 +100,7 @@ def finish_in(folder, chosen: Round, outcome: Outcome) -> None:
 def test_models_of_another_preset_are_no_beginning(tmp_path):
     """The committed PosNet is none that sees with FieldNet's perception, unless it says so."""
     committed = Manifest.read(MODELS / "posnet" / "1" / MANIFEST_FILE)
-    for base in (one_ball(), sighted_one_ball()):
+    for base in (one_ball(), perception_init_one_ball()):
         found = {folder.parent.name for folder in own_models(base, MODELS)}
         assert ("posnet" in found) == (committed.preset == base.preset)
 
