@@ -196,8 +196,8 @@ class KinematicSource(_Part):
 class Manifest(_Part):
     """Everything there is to know about one version of one model."""
 
-    format_version: Literal[1, 2]
-    """2 for models that follow any number of balls up to ``max_objects``."""
+    format_version: Literal[3]
+    """Version of these keys and of the names of an artefact's files (decision 0155)."""
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,63}$")]
     version: Annotated[int, Field(ge=1)]
     default: bool
@@ -267,10 +267,6 @@ class Manifest(_Part):
                 raise ValueError(f"output {name} has shape {shape} for {self.objects} objects")
         if (self.final_step is not None) != (self.frames == OBSERVED_FRAMES + 1):
             raise ValueError(f"final_step is {self.final_step} with {self.frames} frames")
-        if (self.format_version == 2) != (self.max_objects is not None):
-            raise ValueError(
-                f"format_version is {self.format_version} with max_objects {self.max_objects}"
-            )
         if (self.kinematic is None) != (self.max_objects is None):
             raise ValueError("kinematic belongs to models with max_objects")
         files = set(HASHED_FILES if self.max_objects is None else BALL_FILES)

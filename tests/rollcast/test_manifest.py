@@ -14,7 +14,7 @@ from rollcast.manifest import (
 )
 
 FIELDS = {
-    "format_version": 1,
+    "format_version": 3,
     "name": "probnet",
     "version": 3,
     "default": True,
@@ -221,7 +221,7 @@ def test_a_manifest_cannot_be_changed_and_is_indented_by_two(tmp_path):
         manifest.name = "other"
     manifest.write(tmp_path / MANIFEST_FILE)
     lines = (tmp_path / MANIFEST_FILE).read_text().splitlines()
-    assert lines[1] == '  "format_version": 1,'
+    assert lines[1] == '  "format_version": 3,'
     assert '    "hemisphere"' in lines
 
 

@@ -94,7 +94,7 @@ def served_balls(**changes: object) -> Model:
     """A model for any number of balls that is ready."""
     described = manifest(
         **{
-            "format_version": 2,
+            "format_version": 3,
             "name": "dots",
             "max_objects": 8,
             "kinematic": {"acceleration_ratio": 0.1, "level_slope": 0.0},

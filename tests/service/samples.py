@@ -88,7 +88,7 @@ def png_chunk(kind: bytes, data: bytes) -> bytes:
 def manifest(**changes: object) -> Manifest:
     """The manifest of a probabilistic model of one ball, with some fields changed."""
     fields: dict[str, object] = {
-        "format_version": 1,
+        "format_version": 3,
         "name": "dot",
         "version": 1,
         "default": True,

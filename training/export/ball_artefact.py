@@ -103,7 +103,7 @@ def export_balls(
     rows = [row for row in judged.rows if row.split == "test"]
     (folder / CARD_FILE).write_text(_card(trained, version, rows, several), encoding="utf-8")
     manifest = Manifest(
-        format_version=2,
+        format_version=3,
         name=trained.name,
         version=version,
         default=True,

@@ -116,7 +116,7 @@ def export(
     card = model_card(trained, version, summary.rows, summary.covariance)
     (folder / CARD_FILE).write_text(card, encoding="utf-8")
     manifest = Manifest(
-        format_version=1,
+        format_version=3,
         name=trained.name,
         version=version,
         default=True,

@@ -44,7 +44,7 @@ def models(runs, network, tmp_path_factory) -> Path:
 
 def test_the_manifest_tells_that_the_number_of_balls_is_free(models):
     manifest = Manifest.read(models / "balls" / "1" / MANIFEST_FILE)
-    assert (manifest.format_version, manifest.objects, manifest.max_objects) == (2, 1, 8)
+    assert (manifest.objects, manifest.max_objects) == (1, 8)
     assert set(manifest.files) == set(BALL_FILES)
     assert [n for n in range(12) if manifest.follows(n)] == list(range(1, 9))
     assert set(manifest.parity.max_abs_error) == {"positions", "covariances", "angular_velocities"}
