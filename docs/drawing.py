@@ -45,26 +45,26 @@ def show(axes: Axes, frame: np.ndarray) -> None:
         spine.set_visible(False)
 
 
-def ellipse(centre: np.ndarray, covariance: np.ndarray, colour: str) -> Ellipse:
+def ellipse(centre: np.ndarray, covariance: np.ndarray, color: str) -> Ellipse:
     """Return the ellipse of SIGMAS standard deviations of a Gaussian."""
     variances, axes = np.linalg.eigh(covariance)
     width, height = 2 * SIGMAS * np.sqrt(variances)
     angle = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0])))
     return Ellipse(
         (float(centre[0]), float(centre[1])), float(width), float(height), angle=angle,
-        facecolor=f"{colour}40", edgecolor=colour, linewidth=1,
+        facecolor=f"{color}40", edgecolor=color, linewidth=1,
     )  # fmt: skip
 
 
 def box(
-    axes: Axes, x: float, y: float, width: float, height: float, text: str, colour: str,
+    axes: Axes, x: float, y: float, width: float, height: float, text: str, color: str,
     size: float = 10.5,
 ) -> None:  # fmt: skip
     """Draw a rounded box with a text in it."""
     axes.add_patch(
         FancyBboxPatch(
             (x, y), width, height, boxstyle="round,pad=0,rounding_size=0.18",
-            facecolor=f"{colour}33", edgecolor=colour, linewidth=1.6,
+            facecolor=f"{color}33", edgecolor=color, linewidth=1.6,
         )
     )  # fmt: skip
     axes.text(x + width / 2, y + height / 2, text, ha="center", va="center", size=size)

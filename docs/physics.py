@@ -52,10 +52,10 @@ def energy() -> Figure:
     figure = Figure(figsize=(5.2, 3.2), layout="constrained")
     axes = figure.subplots()
     rates = np.array([4, 6, 9, 14, 20, 30])
-    for degrees, colour in ((40, BLUE), (25, ORANGE)):
+    for degrees, color in ((40, BLUE), (25, ORANGE)):
         lost = [100 * _lost_in_four_swings(degrees, int(rate)) for rate in rates]
         label = f"ball let go {degrees}° from the bottom"
-        axes.plot(rates * FRAME_RATE_HZ, lost, "o-", color=colour, label=label)
+        axes.plot(rates * FRAME_RATE_HZ, lost, "o-", color=color, label=label)
     axes.axvline(360, color=PALE, zorder=0)
     axes.text(372, axes.get_ylim()[1], "360 Hz, as simulated", color=GREY, va="top")
     axes.set(

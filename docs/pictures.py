@@ -90,11 +90,11 @@ def scenarios() -> Figure:
         scene = _sequence(scenario, objects, seed)
         show(axes, scene.render(384)[OBSERVED_FRAMES - 1])
         for ball, way in enumerate(_pixels(scene, 384)):
-            colour = "white" if objects == 1 else PALETTE[ball]
+            color = "white" if objects == 1 else PALETTE[ball]
             ahead = way[OBSERVED_FRAMES - 1 :]
             axes.plot(*ahead.T, color="black", linewidth=3.2, alpha=0.6)
-            axes.plot(*ahead.T, color=colour, linewidth=1.6)
-            axes.plot(*ahead[10::10].T, "o", color=colour, markersize=4, markeredgecolor="black")
+            axes.plot(*ahead.T, color=color, linewidth=1.6)
+            axes.plot(*ahead[10::10].T, "o", color=color, markersize=4, markeredgecolor="black")
         balls = "1 ball" if objects == 1 else f"{objects} balls"
         axes.set_title(f"{scenario}, {balls}")
     return figure

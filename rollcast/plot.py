@@ -15,8 +15,8 @@ from rollcast.trajectory import STEP_TOLERANCE
 OVERVIEW_PX = 720
 PANEL_PX = OVERVIEW_PX // 2
 """Sides of the large picture and of the small ones beside it."""
-FILM_PX = 480
-"""Side of the pictures of a film."""
+VIDEO_PX = 480
+"""Side of the pictures of a video."""
 STEPS_BETWEEN_MARKS = 10
 """Along the path, where no later frame says which moments matter."""
 SIGMAS = 2.0
@@ -163,7 +163,7 @@ def draw_moment(
     PIL.Image.Image
         RGB, the longer side of 480 pixels, both even.
     """
-    panel = _Panel(frame, FILM_PX)
+    panel = _Panel(frame, VIDEO_PX)
     panel.rings(rings)
     if time_s >= 0:
         panel.path(forecast, time_s, np.array([time_s]), forecast)
@@ -204,7 +204,7 @@ class _Panel:
     def __init__(self, frame: UInt8[np.ndarray, "height width 3"], side_px: int) -> None:
         height, width = frame.shape[:2]
         scale = side_px / max(height, width)
-        # Halves of it are whole and even, as encoders of films want them.
+        # Halves of it are whole and even, as encoders of videos want them.
         parts = [max(4 * round(scale * side / 4), 4) for side in (width, height)]
         self.size = (parts[0], parts[1])
         """Width and height of the picture, pixels."""

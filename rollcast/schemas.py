@@ -609,7 +609,7 @@ class Health(ResponseBody):
     status: Literal["live", "ready", "loading", "no usable model", "draining"]
 
 
-class Fault(ResponseBody):
+class FieldError(ResponseBody):
     """One thing that is wrong with a request."""
 
     field: str | None = None
@@ -631,8 +631,8 @@ class Problem(ResponseBody):
     field: str | None = None
     value: JsonValue = None
     expected: str | None = None
-    """The first fault, as in ``Fault``; absent when no single value is at fault."""
-    errors: list[Fault] | None = None
+    """The first fault, as in ``FieldError``; absent when no single value is at fault."""
+    errors: list[FieldError] | None = None
     """Every fault, when there are several."""
 
 

@@ -1,4 +1,4 @@
-"""Pictures that follow each other become a film; all but GIF needs PyAV (extra ``video``)."""
+"""Pictures that follow each other become a video; all but GIF needs PyAV (extra ``video``)."""
 
 from collections.abc import Iterable
 from fractions import Fraction
@@ -17,8 +17,8 @@ GIF_TICK_MS = 10
 """A GIF's pictures last whole hundredths of a second."""
 
 
-def write_film(path: Path, pictures: Iterable[Image.Image], frame_rate: float) -> None:
-    """Write a film.
+def write_video(path: Path, pictures: Iterable[Image.Image], frame_rate: float) -> None:
+    """Write a video.
 
     Parameters
     ----------

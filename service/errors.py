@@ -36,7 +36,7 @@ from rollcast.errors import RollcastError
 
 
 @dataclass(frozen=True)
-class FieldError:
+class InvalidField:
     """One invalid value of a request: field, given value, expected value."""
 
     field: str
@@ -59,7 +59,7 @@ class ServiceError(RollcastError):
     slug: ClassVar[str]
     title: ClassVar[str]
 
-    def __init__(self, detail: str, field_errors: Sequence[FieldError] = ()) -> None:
+    def __init__(self, detail: str, field_errors: Sequence[InvalidField] = ()) -> None:
         super().__init__(detail, field_errors)
         self.detail = detail
         self.field_errors = tuple(field_errors)
@@ -67,7 +67,7 @@ class ServiceError(RollcastError):
     @classmethod
     def at(cls, field: str, value: object, expected: str) -> "ServiceError":
         """Return the refusal of one value of one field."""
-        return cls(f"{field}: expected {expected}", [FieldError(field, value, expected)])
+        return cls(f"{field}: expected {expected}", [InvalidField(field, value, expected)])
 
 
 class MalformedBodyError(ServiceError):

@@ -11,7 +11,7 @@ from rollcast.client import pictures, tables
 from rollcast.client.images import Crop, Frames
 from rollcast.outputs import FORECAST_OUTPUTS, STEP_OUTPUTS, OutputName
 from rollcast.schemas import ForecastObject, PredictResponse
-from rollcast.video_writer import write_film
+from rollcast.video_writer import write_video
 
 if TYPE_CHECKING:
     from rollcast.client.results import Forecast
@@ -38,7 +38,9 @@ def save(
     elif suffix in PICTURES:
         pictures.forecast(forecast, frames, times_s, crop).save(path)
     elif suffix in VIDEOS:
-        write_film(path, pictures.film(forecast, frames, times_s, crop), forecast.step_rate)
+        write_video(
+            path, pictures.video_frames(forecast, frames, times_s, crop), forecast.step_rate
+        )
     else:
         known = ", ".join((*PICTURES, *VIDEOS, *TEXTS))
         raise ValueError(f"{path} ends in {suffix!r}, expected one of {known}")

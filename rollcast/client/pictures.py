@@ -36,7 +36,7 @@ def forecast(
     )
 
 
-def film(
+def video_frames(
     forecast: "Forecast",
     frames: Frames | None,
     times_s: Sequence[float] | None,

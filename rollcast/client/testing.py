@@ -78,7 +78,7 @@ class FakeService(httpx2.MockTransport):
     ----------
     problem
         The document, None to answer; may be changed at any time.
-    asked
+    requests
         All requests that came, in order.
     """
 
@@ -91,7 +91,7 @@ class FakeService(httpx2.MockTransport):
     ) -> None:
         super().__init__(self._answer)
         self.problem = problem
-        self.asked: list[RecordedRequest] = []
+        self.requests: list[RecordedRequest] = []
         self._variance_px2 = variance_px2
         self._positions: np.ndarray | None = None
         if positions is not None:
@@ -107,29 +107,29 @@ class FakeService(httpx2.MockTransport):
             With ``problem``.
         """
         frames: list[bytes] = []
-        self.asked.append(RecordedRequest("GET", "/stream", json.loads(message), frames))
+        self.requests.append(RecordedRequest("GET", "/stream", json.loads(message), frames))
         if self.problem is not None:
             raise problem_error(self.problem)
         return FakeSession(self._positions, self._variance_px2, lambda: self.problem, frames)
 
     def _answer(self, request: httpx2.Request) -> httpx2.Response:
         try:
-            asked = _read(request)
-            self.asked.append(asked)
-            if asked.path == "/health/ready":
+            recorded = _read(request)
+            self.requests.append(recorded)
+            if recorded.path == "/health/ready":
                 return _json(Health(status="ready"))
             if self.problem is not None:
                 raise RefusalError(self.problem)
-            return self._served(asked)
+            return self._served(recorded)
         except ValidationError as error:
             return _refused(fakes.invalid(error))
         except RefusalError as refusal:
             return _refused(refusal.problem)
 
-    def _served(self, asked: RecordedRequest) -> httpx2.Response:
-        match asked.method, asked.path.strip("/").split("/"):
+    def _served(self, recorded: RecordedRequest) -> httpx2.Response:
+        match recorded.method, recorded.path.strip("/").split("/"):
             case "POST", ["predict", *stream] if stream in ([], ["stream"]):
-                body = fakes.typed(asked.fields, asked.frames, asked.final_frame)
+                body = fakes.typed(recorded.fields, recorded.frames, recorded.final_frame)
                 wish = PredictRequest.model_validate(body)
                 forecast = fakes.forecast(wish, self._positions, self._variance_px2)
                 if not stream:
@@ -140,17 +140,17 @@ class FakeService(httpx2.MockTransport):
                     content=fakes.events(forecast),
                 )
             case "POST", ["detect"]:
-                body = fakes.typed(asked.fields, asked.frames, None)
+                body = fakes.typed(recorded.fields, recorded.frames, None)
                 del body["final_frame"]
                 return _json(fakes.detection(DetectRequest.model_validate(body)))
             case "POST", ["simulate"]:
-                return _json(fakes.simulation(SimulateRequest.model_validate(asked.fields)))
+                return _json(fakes.simulation(SimulateRequest.model_validate(recorded.fields)))
             case "GET", ["models"]:
                 return _json(ModelList(models=[fakes.model()]))
             case "GET", ["models", fakes.NAME] | ["models", fakes.NAME, "versions", "1"]:
                 return _json(fakes.model())
             case _:
-                raise RefusalError(fakes.nothing_here(f"{asked.method} {asked.path}"))
+                raise RefusalError(fakes.nothing_here(f"{recorded.method} {recorded.path}"))
 
 
 def _read(request: httpx2.Request) -> RecordedRequest:

@@ -99,11 +99,11 @@ def _video_fault() -> str | None:
     """Write a clip and read it, because an installed package may be too old."""
     try:
         from rollcast.video import read_frames
-        from rollcast.video_writer import write_film
+        from rollcast.video_writer import write_video
 
         with tempfile.TemporaryDirectory() as folder:
             clip = Path(folder) / "clip.mp4"
-            write_film(clip, [Image.new("RGB", (64, 64), "gray")] * 8, FRAME_RATE_HZ)
+            write_video(clip, [Image.new("RGB", (64, 64), "gray")] * 8, FRAME_RATE_HZ)
             read_frames(clip)
     except Exception as error:  # whatever an old package raises
         return f"{type(error).__name__}: {error}"

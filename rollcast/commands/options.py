@@ -15,7 +15,7 @@ from rollcast.schemas import BallPrompt
 from rollcast.trajectory import FRAME_RATE_HZ
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
-FILMS = (".mp4", ".webm", ".gif")
+VIDEOS = (".mp4", ".webm", ".gif")
 NUMBER = r"[0-9]{1,9}(\.[0-9]{0,9})?|\.[0-9]{1,9}"
 
 Connect: TypeAlias = Callable[[str | None], Client]
@@ -33,7 +33,7 @@ class Outcome(NamedTuple):
     code: int = 0
     """Exit code."""
     finish: Callable[[], None] | None = None
-    """Work that follows when the text has been printed: pictures and films."""
+    """Work that follows when the text has been printed: pictures and videos."""
 
 
 class CommandError(Exception):
@@ -114,15 +114,15 @@ def whole_number(lowest: int, highest: int) -> Callable[[str | int], int]:
 
 def _drawing(text: str) -> Path:
     path = Path(text)
-    if path.suffix.lower() not in PICTURES + FILMS:
-        raise typer.BadParameter(f"{text} is not a {', '.join(PICTURES + FILMS)} file")
+    if path.suffix.lower() not in PICTURES + VIDEOS:
+        raise typer.BadParameter(f"{text} is not a {', '.join(PICTURES + VIDEOS)} file")
     return _in_a_folder(path)
 
 
-def _folder_or_film(text: str) -> Path:
+def _folder_or_video(text: str) -> Path:
     path = Path(text)
-    if path.suffix and path.suffix.lower() not in FILMS:
-        raise typer.BadParameter(f"{text} is neither a folder nor a {', '.join(FILMS)} file")
+    if path.suffix and path.suffix.lower() not in VIDEOS:
+        raise typer.BadParameter(f"{text} is neither a folder nor a {', '.join(VIDEOS)} file")
     return _in_a_folder(path)
 
 
@@ -149,7 +149,7 @@ Start: TypeAlias = Annotated[
         help="time of the first of the four frames in the video (default: 0)",
     ),
 ]
-Every: TypeAlias = Annotated[
+Stride: TypeAlias = Annotated[
     int | None,
     typer.Option(
         parser=whole_number(1, 1000),
@@ -197,16 +197,16 @@ Drawing: TypeAlias = Annotated[
         "(.mp4, .webm, .gif)",
     ),
 ]
-FolderOrFilm: TypeAlias = Annotated[
+FolderOrVideo: TypeAlias = Annotated[
     Path | None,
     typer.Option(
-        parser=_folder_or_film,
+        parser=_folder_or_video,
         metavar="FOLDER|FILE",
         help="an empty or new folder for the frames, the true path and the scene; or a video of "
         "the frames (.mp4, .webm, .gif)",
     ),
 ]
-Slower: TypeAlias = Annotated[
+Slowdown: TypeAlias = Annotated[
     int,
     typer.Option(
         parser=whole_number(1, 100),

@@ -8,14 +8,14 @@ from PIL import Image
 
 from rollcast.client import Forecast
 from rollcast.client.pictures import rings_of
-from rollcast.commands.options import FILMS
+from rollcast.commands.options import VIDEOS
 from rollcast.commands.progress import counted
 from rollcast.commands.reading import LaterFrames
 from rollcast.errors import FootageEndedError
 from rollcast.footage import Footage
 from rollcast.plot import draw_forecast, draw_moment
 from rollcast.trajectory import STEP_TOLERANCE
-from rollcast.video_writer import write_film
+from rollcast.video_writer import write_video
 
 LATER_FRAMES = 6
 """Number of frames in the picture if footage follows the observed frames."""
@@ -24,13 +24,13 @@ FRAMES_AT_ONCE = 40
 
 
 def draw(
-    path: Path, observed: Footage, later_frames: LaterFrames, forecast: Forecast, slower: int
+    path: Path, observed: Footage, later_frames: LaterFrames, forecast: Forecast, slowdown: int
 ) -> None:
     """Write a picture or a video, depending on the file's suffix."""
-    if path.suffix.lower() in FILMS:
+    if path.suffix.lower() in VIDEOS:
         steps = len(observed.frames) - 1 + len(forecast.times_s)
         moments = counted(_moments(observed, later_frames, forecast), steps, "drawing")
-        write_film(path, moments, forecast.step_rate / slower)
+        write_video(path, moments, forecast.step_rate / slowdown)
     else:
         _picture(observed, later_frames, forecast).save(path)
 

@@ -19,12 +19,12 @@ from rollcast.commands.options import (
     Balls,
     Crop,
     Drawing,
-    Every,
     Outcome,
     Printed,
     Rate,
-    Slower,
+    Slowdown,
     Start,
+    Stride,
     Url,
     client,
     positive_rate,
@@ -50,8 +50,8 @@ sent, and rings show where the balls were seen.
 Examples:
   rollcast predict clip.mp4 --start 2.0 --crop 100,0,480 --out overlay.png
   rollcast predict clip.mp4 --ball 412,230 --ball 105,88 --out rings.png
-  rollcast predict clip.mp4 --every 3 --out overlay.mp4 --slower 4
-  rollcast predict frames/ --rate 120 --every 3 --format csv > forecast.csv
+  rollcast predict clip.mp4 --stride 3 --out overlay.mp4 --slowdown 4
+  rollcast predict frames/ --rate 120 --stride 3 --format csv > forecast.csv
   rollcast predict clip.mp4 --final 39 --out between.png
 """
 
@@ -69,7 +69,7 @@ def predict(
         ),
     ],
     start: Start = None,
-    every: Every = None,
+    stride: Stride = None,
     rate: Rate = None,
     crop: Crop = None,
     final: Annotated[
@@ -118,7 +118,7 @@ def predict(
     url: Url = None,
     form: Printed = "table",
     out: Drawing = None,
-    slower: Slower = 1,
+    slowdown: Slowdown = 1,
 ) -> Outcome:
     """Read frames, request a forecast, print and draw it."""
     if horizon is None:
@@ -131,7 +131,7 @@ def predict(
         known_crop = WholePicture() if ball or takes_any(known) else setup_crop(known)
         told = told_rates(models) if final is None else None
         part = crop or known_crop
-        observed, later_frames = read(footage, start, every, rate, part, known_rate, told)
+        observed, later_frames = read(footage, start, stride, rate, part, known_rate, told)
         final_frame = None if final is None else frame_of_step(final, observed, later_frames)
         forecast = service.predict(
             list(observed.frames),
@@ -151,5 +151,7 @@ def predict(
         *ball_warnings(forecast),
     ]
     text = forecast_text(observed, forecast, warnings, form)
-    drawing = None if out is None else partial(draw, out, observed, later_frames, forecast, slower)
+    drawing = (
+        None if out is None else partial(draw, out, observed, later_frames, forecast, slowdown)
+    )
     return Outcome(text, warnings if form == "csv" else (), finish=drawing)

@@ -26,7 +26,7 @@ LaterFrames = Callable[[Sequence[float]], Footage]
 def read(
     paths: Sequence[Path],
     start_s: float | None,
-    every: int | None,
+    stride: int | None,
     rate: float | None,
     crop: PictureCrop | None,
     wanted_rate: float = FRAME_RATE_HZ,
@@ -57,8 +57,8 @@ def read(
                 f"{len(source)} image{'s' * (len(source) != 1)}, expected a video, a folder or at "
                 "least four images"
             )
-    if every is not None:
-        wanted_rate = rate_near(source, start_s or 0.0) / every
+    if stride is not None:
+        wanted_rate = rate_near(source, start_s or 0.0) / stride
         observed = read_evenly(source, start_s=start_s or 0.0, crop=crop, frame_rate=wanted_rate)
     else:
         observed = _observed(source, start_s or 0.0, crop, wanted_rate, told_rates)

@@ -8,13 +8,13 @@ from PIL import Image
 
 from rollcast.client import Simulation
 from rollcast.commands.options import (
-    FILMS,
+    VIDEOS,
     CommandError,
-    FolderOrFilm,
+    FolderOrVideo,
     Format,
     Outcome,
     Printed,
-    Slower,
+    Slowdown,
     Url,
     client,
     whole_number,
@@ -24,7 +24,7 @@ from rollcast.commands.progress import counted, waiting
 from rollcast.scene import MAX_OBJECTS, MAX_SEED, Scenario
 from rollcast.schemas import DEFAULT_HORIZON, MAX_IMAGE_SIZE, MAX_STEPS, MIN_FRAME_SIZE, MIN_STEPS
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
-from rollcast.video_writer import write_film
+from rollcast.video_writer import write_video
 
 HELP = """\
 Simulate a scene: its frames and the true path.
@@ -35,7 +35,7 @@ Without --out the path is printed. The same seed always produces the same frames
 Examples:
   rollcast simulate ellipsoid --seed 7
   rollcast simulate ellipsoid --seed 7 --out scene && rollcast predict scene
-  rollcast simulate heightfield --steps 200 --size 512 --out scene.mp4 --slower 2
+  rollcast simulate heightfield --steps 200 --size 512 --out scene.mp4 --slowdown 2
 """
 
 
@@ -68,14 +68,14 @@ def simulate(
     ] = 128,
     url: Url = None,
     form: Printed = "table",
-    out: FolderOrFilm = None,
-    slower: Slower = 1,
+    out: FolderOrVideo = None,
+    slowdown: Slowdown = 1,
 ) -> Outcome:
     """Request a scene; print its paths, or write paths and frames to files."""
-    film = out is not None and out.suffix.lower() in FILMS
-    if out is not None and not film and not _is_free(out):
+    video = out is not None and out.suffix.lower() in VIDEOS
+    if out is not None and not video and not _is_free(out):
         raise CommandError(f"{out} is not an empty folder; choose another one with --out")
-    if film and size % 2:
+    if video and size % 2:
         raise CommandError(f"--size is {size}; a video needs an even size")
     with client(context, url) as service, waiting("waiting for the service"):
         simulation = service.simulate(
@@ -89,8 +89,8 @@ def simulate(
     if out is None or simulation.frames is None:
         return Outcome(truth_text(simulation, form))
     pictures = counted(map(Image.fromarray, simulation.frames), steps, "writing")
-    if film:
-        write_film(out, pictures, simulation.frame_rate / slower)
+    if video:
+        write_video(out, pictures, simulation.frame_rate / slowdown)
         return Outcome(f"{out}: {steps} frames")
     out.mkdir(exist_ok=True)
     for index, picture in enumerate(pictures):

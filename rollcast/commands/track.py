@@ -17,7 +17,7 @@ from rollcast.frames import shown_path
 from rollcast.image_sequence import ImageSequence, image_files
 from rollcast.scene import MAX_BALLS
 from rollcast.schemas import AUTO_MODEL
-from rollcast.video_writer import write_film
+from rollcast.video_writer import write_video
 
 if TYPE_CHECKING:
     from rollcast.tracking.quality import Quality
@@ -29,14 +29,14 @@ A running service finds the balls with a model for any number of balls (any-ball
 needed, and the camera must not move. Up to eight balls that move are told apart by their colours
 and paths. Clips in one command belong to one set-up, and their balls have the same order. For each
 clip the command writes tracks (NAME.parquet or NAME.csv), a report of possible errors (NAME.json)
-and a video for review (films/NAME.mp4). If a ball is not found, its track has a gap. Frames that
+and a video for review (videos/NAME.mp4). If a ball is not found, its track has a gap. Frames that
 repeat the one before are left out.
 
 \b
 Examples:
   rollcast track clip.mp4
   rollcast track first.mp4 second.mp4 --balls 4 --crop 125,0,475 --out tracks
-  rollcast track clip.mp4 --format csv --no-film
+  rollcast track clip.mp4 --format csv --no-video
 """
 
 
@@ -66,8 +66,8 @@ def track(
     form: Annotated[
         Literal["parquet", "csv"], typer.Option("--format", help="format of the tracks")
     ] = "parquet",
-    film: Annotated[
-        bool, typer.Option("--film/--no-film", help="whether to write the video for review")
+    video: Annotated[
+        bool, typer.Option("--video/--no-video", help="whether to write the video for review")
     ] = True,
     model: Annotated[
         str,
@@ -75,7 +75,7 @@ def track(
     ] = AUTO_MODEL,
     url: Url = None,
 ) -> Outcome:
-    """Track every clip; write the tracks, a report and a film of each."""
+    """Track every clip; write the tracks, a report and a video of each."""
     try:
         from rollcast.commands.service_finder import ServiceFinder
         from rollcast.tracking.overlay import overlaid
@@ -85,7 +85,7 @@ def track(
         raise MissingExtraError("tracking needs", error.name or "a package", "track") from error
     names = _names(clips)
     # In a folder of their own: beside the tracks training looks for the clips as they were filmed.
-    films = out / "films"
+    videos = out / "videos"
     reports: list[Quality] = []
     warnings: list[str] = []
     palettes = None
@@ -108,11 +108,11 @@ def track(
         quality = made.quality
         replace(made.tracks, source_sha256=fingerprint).write(tracks_file)
         beside(out / name, ".json").write_text(quality.model_dump_json(indent=2) + "\n")
-        if film:
-            film_file = beside(films / name, ".mp4")
-            film_file.parent.mkdir(parents=True, exist_ok=True)
+        if video:
+            video_file = beside(videos / name, ".mp4")
+            video_file.parent.mkdir(parents=True, exist_ok=True)
             pictures = counted(overlaid(source, made.tracks), quality.frames, f"drawing {shown}")
-            write_film(film_file, pictures, quality.frame_rate)
+            write_video(video_file, pictures, quality.frame_rate)
         reports.append(quality)
         warnings += source.warnings
     warnings += [warning for quality in reports for warning in _quality_warnings(quality)]
@@ -178,7 +178,7 @@ def _table(quality: "Quality") -> str:
         "  ball  colour    found  radius px  gaps  longest",
     ]
     lines += [
-        f"  {one.ball:4}  {one.colour}  {100 * one.found:5.1f}  {one.radius_px:9.1f}  "
+        f"  {one.ball:4}  {one.color}  {100 * one.found:5.1f}  {one.radius_px:9.1f}  "
         f"{one.gaps:4}  {one.longest_gap_s:5.2f} s"
         for one in quality.balls
     ]

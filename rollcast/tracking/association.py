@@ -17,7 +17,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import coo_array
 
 from rollcast.errors import FootageError
-from rollcast.tracking.colours import BINS, COLOURS
+from rollcast.tracking.colors import BINS, COLORS
 from rollcast.tracking.tracklets import LONGEST_GAP, Tracklet
 
 ROUNDS = 3
@@ -25,7 +25,7 @@ BEGINNINGS = 2
 """Sets of tracklets that palettes are begun with."""
 OUTLIER_RATE = 0.02
 """Share of a ball's pixels that may have any colour: reflections, dirt."""
-COLOUR_WEIGHT = 0.3
+COLOR_WEIGHT = 0.3
 """Of a frame's colours: those of neighbouring frames say the same."""
 SUREST = 4.0
 """Most that one frame's colours say, in nats."""
@@ -56,7 +56,7 @@ class Identities:
     """
 
     balls: list[int]
-    palettes: Float[np.ndarray, "balls colours"]
+    palettes: Float[np.ndarray, "balls colors"]
     value: float
 
 
@@ -78,7 +78,7 @@ def assign_identities(tracklets: Sequence[Tracklet], frames: int, balls: int) ->
     frames
         Number of the clip's.
     """
-    seen = np.stack([tracklet.mean_colours for tracklet in tracklets])
+    seen = np.stack([tracklet.mean_colors for tracklet in tracklets])
     lengths = np.array([len(tracklet) for tracklet in tracklets])
     radius_px = float(np.median([tracklet.radius_px for tracklet in tracklets]))
     found: list[Identities] = []
@@ -102,14 +102,14 @@ def assign_identities(tracklets: Sequence[Tracklet], frames: int, balls: int) ->
 
 
 def palette_evidence(
-    seen: Float[np.ndarray, "tracklets colours"], palettes: Float[np.ndarray, "balls colours"]
+    seen: Float[np.ndarray, "tracklets colors"], palettes: Float[np.ndarray, "balls colors"]
 ) -> Float[np.ndarray, "tracklets balls"]:
     """Log likelihood ratio of colours under each palette and under chance, nats per frame."""
-    usual = (1 - OUTLIER_RATE) * palettes + OUTLIER_RATE / COLOURS
-    return np.clip(COLOUR_WEIGHT * seen @ np.log(usual * COLOURS).T, -SUREST, SUREST)
+    usual = (1 - OUTLIER_RATE) * palettes + OUTLIER_RATE / COLORS
+    return np.clip(COLOR_WEIGHT * seen @ np.log(usual * COLORS).T, -SUREST, SUREST)
 
 
-def _palettes(sums: Float[np.ndarray, "balls colours"]) -> Float[np.ndarray, "balls colours"]:
+def _palettes(sums: Float[np.ndarray, "balls colors"]) -> Float[np.ndarray, "balls colors"]:
     """Shares of neighbouring colours, smoothed: light changes over a picture."""
     smooth = gaussian_filter(sums.reshape(-1, *BINS), (0, 0.4, 0.6, 0.6), mode="nearest")
     flat = smooth.reshape(len(sums), -1) + 1e-9

@@ -18,7 +18,7 @@ from jaxtyping import Float, Float32, UInt8
 from rollcast.ball_finding import Sightings
 from rollcast.errors import FootageError
 from rollcast.repeated_frames import NumberedFrame
-from rollcast.tracking.colours import colours_at
+from rollcast.tracking.colors import colors_at
 from rollcast.trajectory import OBSERVED_FRAMES
 
 SIDE_PX = 384
@@ -50,7 +50,7 @@ class Detections:
     positions_px: Float[np.ndarray, "found 2"]
     radii_px: Float[np.ndarray, " found"]
     scores: Float[np.ndarray, " found"]
-    colours: Float32[np.ndarray, "found colours"]
+    colors: Float32[np.ndarray, "found colors"]
     """Shares of a disc's pixels by colour (``colours.py``)."""
 
 
@@ -126,8 +126,8 @@ def _seen(window: list[_Small], known: int, asked: Future[Sightings]) -> Iterato
     for index, frame in enumerate(window[known:], start=known):
         shown = found.visible[:, index] > SEEN
         positions, radii = found.paths[shown, index], found.radii[shown]
-        colours = colours_at(frame.picture, positions, radii)
+        colors = colors_at(frame.picture, positions, radii)
         detections = Detections(
-            positions * frame.scale, radii * frame.scale, found.scores[shown], colours
+            positions * frame.scale, radii * frame.scale, found.scores[shown], colors
         )
         yield SeenFrame(frame.number, frame.time_s, detections)

@@ -28,24 +28,24 @@ def overlaid(clip: Path | FrameSource, tracks: Tracks) -> Iterator[Image.Image]:
 
 
 def draw_tracks(picture: np.ndarray, tracks: Tracks, index: int) -> Image.Image:
-    """Draw the balls of a frame over its picture, whose sides are made even for films."""
+    """Draw the balls of a frame over its picture, whose sides are made even for videos."""
     height, width = picture.shape[:2]
     image = Image.fromarray(np.ascontiguousarray(picture[: height // 2 * 2, : width // 2 * 2]))
     drawing = ImageDraw.Draw(image)
     missing: list[str] = []
     for ball in range(tracks.balls):
-        colour = PALETTE[ball % len(PALETTE)]
+        color = PALETTE[ball % len(PALETTE)]
         x, y = tracks.positions_px[index, ball]
         if np.isnan(x):
             missing.append(str(ball))
             continue
         radius = tracks.radii_px[index, ball] + 1
-        drawing.ellipse((x - radius, y - radius, x + radius, y + radius), outline=colour, width=2)
+        drawing.ellipse((x - radius, y - radius, x + radius, y + radius), outline=color, width=2)
         drawing.text(
-            (x + radius, y - radius), str(ball), fill=colour, stroke_width=2, stroke_fill="black"
+            (x + radius, y - radius), str(ball), fill=color, stroke_width=2, stroke_fill="black"
         )
         tail = tracks.positions_px[max(0, index - TAIL) : index + 1, ball]
-        drawing.line([tuple(place) for place in tail[~np.isnan(tail[:, 0])]], colour, 1)
+        drawing.line([tuple(place) for place in tail[~np.isnan(tail[:, 0])]], color, 1)
     note = f"frame {tracks.frames[index]}" + (
         f", not found: {', '.join(missing)}" if missing else ""
     )

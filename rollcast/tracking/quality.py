@@ -44,7 +44,7 @@ class BallQuality(BaseModel):
     """Detection statistics of a ball."""
 
     ball: int
-    colour: str
+    color: str
     found: float
     """Share of the frames."""
     radius_px: float
@@ -86,12 +86,12 @@ def quality_of(tracks: Tracks, encounters: Sequence[CloseApproach], repeated: in
     """
     gaps = [gap for ball in range(tracks.balls) for gap in _gaps(tracks, ball)]
     of_balls: list[BallQuality] = []
-    for ball, colour in enumerate(tracks.colours):
+    for ball, color in enumerate(tracks.colors):
         own = [gap for gap in gaps if gap.ball == ball]
         of_balls.append(
             BallQuality(
                 ball=ball,
-                colour=colour,
+                color=color,
                 found=float(tracks.found[:, ball].mean()),
                 radius_px=round(float(np.nanmedian(tracks.radii_px[:, ball])), 2),
                 gaps=len(own),

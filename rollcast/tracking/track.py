@@ -16,7 +16,7 @@ from rollcast.footage import FrameSource, SquareCrop, TakenFrame
 from rollcast.repeated_frames import NumberedFrame, distinct_frames
 from rollcast.scene import MAX_BALLS
 from rollcast.tracking.association import Identities, assign_identities, balls_in, palette_evidence
-from rollcast.tracking.colours import as_hex, hue
+from rollcast.tracking.colors import as_hex, hue
 from rollcast.tracking.finder import Detections, Finder, seen_frames
 from rollcast.tracking.quality import NEAR, CloseApproach, Quality, quality_of, runs
 from rollcast.tracking.smoothing import smoothed
@@ -29,7 +29,7 @@ MOST_CHANGING = 0.1
 MERGED = 5
 """Frames between encounters of the same balls that count as one."""
 
-Palettes = Float[np.ndarray, "balls colours"]
+Palettes = Float[np.ndarray, "balls colors"]
 
 
 class Tracked(NamedTuple):
@@ -198,16 +198,16 @@ def _tracks(
         positions[seen, ball] = smoothed(times_s[seen], measured) + reading.corner
         radii[seen, ball] = np.median(np.concatenate([one.radii_px for one in own]))
         confidences[seen, ball] = np.clip(np.concatenate([one.scores for one in own]), 0, 1)
-    colours = tuple(as_hex(palette) for palette in known.palettes)
+    colors = tuple(as_hex(palette) for palette in known.palettes)
     frames = np.array(reading.numbers)
-    return Tracks(name, *reading.size, colours, frames, times_s, positions, radii, confidences)
+    return Tracks(name, *reading.size, colors, frames, times_s, positions, radii, confidences)
 
 
 def _encounters(
     tracks: Tracks, tracklets: Sequence[Tracklet], owners: np.ndarray, palettes: Palettes
 ) -> Iterable[CloseApproach]:
     """Yield the times at which two balls were close, and their colour evidence afterwards."""
-    means = np.stack([tracklet.mean_colours for tracklet in tracklets])
+    means = np.stack([tracklet.mean_colors for tracklet in tracklets])
     evidence = palette_evidence(means, palettes)
     for one, other in combinations(range(tracks.balls), 2):
         apart = np.linalg.norm(tracks.positions_px[:, one] - tracks.positions_px[:, other], axis=-1)

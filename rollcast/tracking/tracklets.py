@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
-from rollcast.tracking.colours import COLOURS
+from rollcast.tracking.colors import COLORS
 from rollcast.tracking.finder import Detections
 
 FARTHEST = 5.0
 """Radii from where a ball is expected, beyond which it is another one."""
-COLOUR_COST = 3.0
+COLOR_COST = 3.0
 """Of colours that have nothing in common, as much as so many radii."""
 CLEARER = 1.0
 """By which the next best pair has to cost more; else both end and are joined later."""
@@ -39,7 +39,7 @@ class Tracklet:
         Index of its first frame.
     positions_px
         Centres [frames][2].
-    colours
+    colors
         Sum of the colours of its detections.
     """
 
@@ -47,7 +47,7 @@ class Tracklet:
     positions_px: list[Float[np.ndarray, "2"]] = field(default_factory=list[np.ndarray])
     radii_px: list[float] = field(default_factory=list[float])
     scores: list[float] = field(default_factory=list[float])
-    colours: Float[np.ndarray, " colours"] = field(default_factory=lambda: np.zeros(COLOURS))
+    colors: Float[np.ndarray, " colors"] = field(default_factory=lambda: np.zeros(COLORS))
 
     def __len__(self) -> int:
         """Return the number of its frames."""
@@ -64,9 +64,9 @@ class Tracklet:
         return float(np.median(self.radii_px))
 
     @property
-    def mean_colours(self) -> Float[np.ndarray, " colours"]:
+    def mean_colors(self) -> Float[np.ndarray, " colors"]:
         """Mean colours of its detections."""
-        return self.colours / len(self)
+        return self.colors / len(self)
 
     @property
     def extent(self) -> float:
@@ -87,14 +87,14 @@ class Tracklet:
         self.positions_px.append(found.positions_px[row])
         self.radii_px.append(float(found.radii_px[row]))
         self.scores.append(float(found.scores[row]))
-        self.colours = self.colours + found.colours[row]
+        self.colors = self.colors + found.colors[row]
 
 
 def link_tracklets(frames: Iterable[Detections]) -> list[Tracklet]:
     """Join the detections of neighbouring frames where the match is unambiguous."""
     ended: list[Tracklet] = []
     going: list[Tracklet] = []
-    before = np.empty((0, COLOURS))
+    before = np.empty((0, COLORS))
     for number, found in enumerate(frames):
         joined = _joined(going, before, found)
         ended += [
@@ -106,7 +106,7 @@ def link_tracklets(frames: Iterable[Detections]) -> list[Tracklet]:
         going = [rows.get(row) or Tracklet(number) for row in range(len(found.radii_px))]
         for row, tracklet in enumerate(going):
             tracklet.add(found, row)
-        before = found.colours
+        before = found.colors
     ended += [tracklet for tracklet in going if len(tracklet) >= FEWEST_FRAMES]
     return sorted(ended, key=lambda tracklet: tracklet.first)
 
@@ -136,7 +136,7 @@ def _continues(before: Tracklet, after: Tracklet) -> bool:
 
 
 def _joined(
-    going: Sequence[Tracklet], before: Float[np.ndarray, "going colours"], found: Detections
+    going: Sequence[Tracklet], before: Float[np.ndarray, "going colors"], found: Detections
 ) -> dict[int, int]:
     """Return the detection of each tracklet that surely goes on, in the order of the tracklets."""
     if not len(found.positions_px) or not going:
@@ -145,9 +145,9 @@ def _joined(
     radii = np.array([p.radii_px[-1] for p in going])
     larger = np.maximum(radii[:, None], found.radii_px)
     apart = np.linalg.norm(expected[:, None] - found.positions_px, axis=-1) / larger
-    shared = np.minimum(before[:, None], found.colours).sum(axis=-1)
-    cost = apart + COLOUR_COST * (1 - shared)
-    limit = FARTHEST + COLOUR_COST
+    shared = np.minimum(before[:, None], found.colors).sum(axis=-1)
+    cost = apart + COLOR_COST * (1 - shared)
+    limit = FARTHEST + COLOR_COST
     chosen: dict[int, int] = {}
     for tracklet, row in zip(*linear_sum_assignment(np.minimum(cost, limit)), strict=True):
         others = np.concatenate([np.delete(cost[tracklet], row), np.delete(cost[:, row], tracklet)])

@@ -38,7 +38,7 @@ class _ClipProperties(BaseModel):
 
     width: int
     height: int
-    colours: tuple[str, ...]
+    colors: tuple[str, ...]
     source_sha256: str = ""
 
 
@@ -52,7 +52,7 @@ class Tracks:
         Name of the clip.
     width, height
         Of its pictures, pixels.
-    colours
+    colors
         Mean colour of each ball, as ``#rrggbb``; their order is that of the balls.
     frames
         Numbers of the clip's frames, from 0; those that repeat the one before are left out.
@@ -72,7 +72,7 @@ class Tracks:
     clip: str
     width: int
     height: int
-    colours: tuple[str, ...]
+    colors: tuple[str, ...]
     frames: Int[np.ndarray, " frames"]
     times_s: Float[np.ndarray, " frames"]
     positions_px: Float[np.ndarray, "frames balls 2"]
@@ -83,7 +83,7 @@ class Tracks:
     @property
     def balls(self) -> int:
         """Number of balls."""
-        return len(self.colours)
+        return len(self.colors)
 
     @property
     def found(self) -> np.ndarray:
@@ -112,7 +112,7 @@ class Tracks:
         about = {
             "width": self.width,
             "height": self.height,
-            "colours": self.colours,
+            "colors": self.colors,
             "source_sha256": self.source_sha256,
         }
         table = pa.Table.from_arrays(
@@ -155,7 +155,7 @@ class Tracks:
                 f"{path} holds no tracks: the properties of its clip are wrong: {place} "
                 f"{fault['msg'].lower()}"
             ) from error
-        balls = len(clip.colours)
+        balls = len(clip.colors)
         if not balls or table.num_rows % balls:
             raise FootageError(
                 f"{path} holds no tracks: it has {table.num_rows} rows, expected one of each "
@@ -167,7 +167,7 @@ class Tracks:
             clip=table["clip"][0].as_py(),
             width=clip.width,
             height=clip.height,
-            colours=clip.colours,
+            colors=clip.colors,
             frames=shaped["frame"][:, 0].copy(),
             times_s=shaped["time"][:, 0].copy(),
             positions_px=np.stack([shaped["x"], shaped["y"]], axis=-1),

@@ -16,9 +16,9 @@ from fastapi.responses import Response
 from pydantic import JsonValue
 from starlette.exceptions import HTTPException
 
-from rollcast.schemas import Fault, Problem
+from rollcast.schemas import FieldError, Problem
 from service.errors import (
-    FieldError,
+    InvalidField,
     InvalidValueError,
     ModelUnavailableError,
     NotReadyError,
@@ -86,10 +86,10 @@ def in_plain_words(message: str) -> str:
     return message.removeprefix("Input should be ").removeprefix("Value error, ")
 
 
-def _field_error(error: Mapping[str, Any]) -> FieldError:
+def _field_error(error: Mapping[str, Any]) -> InvalidField:
     context: dict[str, Any] = error.get("ctx", {})
     if "field" in context:
-        return FieldError(context["field"], context["value"], context["expected"])
+        return InvalidField(context["field"], context["value"], context["expected"])
     expected = {
         "missing": "a value, the field is required",
         "extra_forbidden": "no such field",
@@ -98,7 +98,7 @@ def _field_error(error: Mapping[str, Any]) -> FieldError:
         "model_type": "an object",
     }.get(error["type"], in_plain_words(error["msg"]))
     value = None if error["type"] == "missing" else _presentable(error["input"])
-    return FieldError(_path(error["loc"]), value, expected)
+    return InvalidField(_path(error["loc"]), value, expected)
 
 
 def _path(location: Sequence[int | str]) -> str:
@@ -165,14 +165,14 @@ def _out_of_memory() -> OutOfMemoryError:
 
 def _refusal(error: ServiceError) -> Problem:
     faults = [
-        Fault(
+        FieldError(
             field=_shorten(field_error.field),
             value=_presentable(field_error.value),
             expected=_shorten(field_error.expected, LONGEST_DETAIL),
         )
         for field_error in error.field_errors
     ]
-    first = faults[0] if faults else Fault()
+    first = faults[0] if faults else FieldError()
     return Problem(
         type=f"/problems/{error.slug}",
         title=error.title,

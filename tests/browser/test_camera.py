@@ -1,4 +1,4 @@
-"""A camera in the browser: Chromium takes a film of the simulator for a webcam's picture."""
+"""A camera in the browser: Chromium takes a video of the simulator for a webcam's picture."""
 
 import base64
 import io
@@ -53,7 +53,7 @@ def scene(slow: str) -> Simulation:
 
 
 @pytest.fixture(scope="module")
-def film(scene: Simulation, tmp_path_factory) -> Path:
+def video(scene: Simulation, tmp_path_factory) -> Path:
     """The scene as Chromium's fake camera reads it: without losses, to its end and back again."""
     path = tmp_path_factory.mktemp("camera") / "rolling.y4m"
     assert scene.frames is not None
@@ -78,12 +78,12 @@ def with_cameras(playwright: Playwright, device: str, *more: str) -> Browser:
 
 
 @pytest.fixture(scope="module")
-def browser(playwright: Playwright, film: Path) -> Iterator[Browser]:
+def browser(playwright: Playwright, video: Path) -> Iterator[Browser]:
     """A browser with a camera, which no page may use before it was allowed."""
     browser = with_cameras(
         playwright,
         "",
-        f"--use-file-for-fake-video-capture={film}",
+        f"--use-file-for-fake-video-capture={video}",
         f"--host-resolver-rules=MAP {OTHER_NAME} 127.0.0.1",
     )
     yield browser
@@ -145,7 +145,7 @@ def shown(page: Page) -> tuple[np.ndarray, float]:
 
 
 def index_of(picture: np.ndarray) -> int:
-    """Which frame of the film a picture shows."""
+    """Which frame of the video a picture shows."""
     scale = len(picture) / WIDTH
     top = (len(picture) - HEIGHT * scale) / 2
     rows = (top + (np.arange(BITS) + 0.5) * BLOCK * scale).astype(int)

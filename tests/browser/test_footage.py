@@ -31,11 +31,11 @@ def scene(address: str) -> Simulation:
 def clips(scene: Simulation, tmp_path_factory) -> dict[int, Path]:
     """Videos of the scene by cameras of 40 and of 30 frames a second."""
     folder = tmp_path_factory.mktemp("clips")
-    return {rate: film(scene, folder / f"rolling-{rate}.webm", rate) for rate in (40, 30)}
+    return {rate: record_video(scene, folder / f"rolling-{rate}.webm", rate) for rate in (40, 30)}
 
 
-def film(scene: Simulation, path: Path, rate: int) -> Path:
-    """Film a scene with a camera of another rate, which sees the nearest frame each time."""
+def record_video(scene: Simulation, path: Path, rate: int) -> Path:
+    """Record a scene with a camera of another rate, which sees the nearest frame each time."""
     assert scene.frames is not None
     times_s = np.arange(0, len(scene.frames) / 40, 1 / rate)
     with av.open(path, "w") as container:

@@ -62,7 +62,7 @@ def test_gif(page: Page):
     assert np.abs(last - first).max() > 50
 
 
-def test_a_film_of_two_models(page: Page):
+def test_a_video_of_two_models(page: Page):
     page.check("#models input[value=probnet]")
     page.check("#split")
     until_forecast(page)

@@ -8,7 +8,7 @@ from playwright.sync_api import expect
 
 from rollcast.client import Client
 from tests.browser.conftest import OpenPage
-from tests.browser.test_footage import crop, drop, film, forecast_of
+from tests.browser.test_footage import crop, drop, forecast_of, record_video
 from tests.e2e.conftest import start_service, stop_service, wait_until_ready
 from tests.e2e.test_without_simulation import COMMANDS
 
@@ -35,7 +35,7 @@ def test_it_offers_footage_instead(
     expect(page.locator("#busy")).to_be_hidden()
     with Client(address) as client:
         scene = client.simulate("hemisphere", seed=7, steps=64, image_size=240)
-    drop(page, film(scene, tmp_path / "rolling.webm", 40))
+    drop(page, record_video(scene, tmp_path / "rolling.webm", 40))
     crop(page)
     assert forecast_of(page).shape == (40, 2)
     expect(message).to_have_text("")

@@ -16,8 +16,8 @@ def frames(width=320, height=180):
     made = []
     for step in range(4):
         picture = np.full((height, width, 3), (90, 110, 90), np.uint8)
-        for (x, y), colour in (((60 + 4 * step, 60), (210, 60, 50)), ((250, 120), (40, 60, 160))):
-            picture[np.hypot(columns - x, rows - y) < RADIUS] = colour
+        for (x, y), color in (((60 + 4 * step, 60), (210, 60, 50)), ((250, 120), (40, 60, 160))):
+            picture[np.hypot(columns - x, rows - y) < RADIUS] = color
         buffer = io.BytesIO()
         Image.fromarray(picture).save(buffer, "PNG")
         made.append(base64.b64encode(buffer.getvalue()).decode())

@@ -74,7 +74,7 @@ def test_commands_of_the_guide(folder):
     for command in COMMANDS:
         service = FakeService()
         run(command, folder, service)
-        fields = service.asked[-1].fields
+        fields = service.requests[-1].fields
         assert float(fields["frame_rate"]) == pytest.approx(40, rel=0.06), command
 
 
@@ -92,7 +92,7 @@ def test_seen_and_later_frames_show_one_ball_on_one_way(folder):
     """Both are resampled by the same rule, so no frame is off by more than blending."""
     service = FakeService()
     run("rollcast predict clip.mp4 --start 1.0 --crop 100,0,480 --final 39", folder, service)
-    asked = service.asked[-1]
+    asked = service.requests[-1]
     places = []
     for data in (*asked.frames, asked.final_frame):
         with Image.open(io.BytesIO(data)) as image:

@@ -122,7 +122,7 @@ def test_a_reader_that_has_seen_enough_is_no_error(address, video):
     assert run.returncode == 0
 
 
-def test_a_film_of_a_video_and_its_forecast(address, video, tmp_path):
+def test_a_video_of_a_video_and_its_forecast(address, video, tmp_path):
     out = tmp_path / "overlay.mp4"
     crop = ("--crop", f"{BESIDE},0,{SIDE}")
     run = predict(video, "--start", 0.25, *crop, "--url", address, "--out", out, "--format", "csv")

@@ -54,7 +54,7 @@ def predict(name, options, capsys):
         ["predict", str(FOLDER / name), *options, "--horizon", "5"],
         lambda _: Client(transport=service),
     )
-    return code, capsys.readouterr(), service.asked
+    return code, capsys.readouterr(), service.requests
 
 
 @pytest.mark.parametrize("name", READ)

@@ -42,7 +42,7 @@ def clip(tmp_path):
 def test_points_come_in_many_forms(client, balls, radii):
     service = FakeService()
     client(service).predict(WIDE, balls=balls, horizon=3)
-    sent = json.loads(service.asked[-1].fields["balls"])
+    sent = json.loads(service.requests[-1].fields["balls"])
     assert [(ball["x"], ball["y"]) for ball in sent] == POINTS
     assert [ball["radius"] for ball in sent] == radii
 
@@ -65,7 +65,7 @@ def test_what_is_no_point_is_named(client, balls, named):
     service = FakeService()
     with pytest.raises(InvalidArgumentError, match=named):
         client(service).predict(WIDE, balls=balls)
-    assert service.asked == []
+    assert service.requests == []
 
 
 def test_a_forecast_tells_where_its_balls_were_seen_and_how_surely(client):
@@ -91,7 +91,7 @@ def test_streams_and_many_calls_take_points(client):
     assert len(list(stream)) == 3
     assert stream.forecast.seen.shape == (2, 4, 3)
     assert len(connected.predict_many([WIDE, WIDE], balls=POINTS, horizon=3)) == 2
-    assert all("balls" in asked.fields for asked in service.asked)
+    assert all("balls" in asked.fields for asked in service.requests)
 
 
 def test_score_and_place_are_in_every_form_of_the_result(client, tmp_path):
@@ -180,4 +180,4 @@ def test_points_of_a_video_follow_a_crop(client, clip):
     service = FakeService()
     forecast = client(service).predict(clip, balls=[(30, 20)], crop="square", horizon=3)
     assert forecast.frame_size == (48, 48)
-    assert json.loads(service.asked[-1].fields["balls"])[0]["x"] == 30 - 8
+    assert json.loads(service.requests[-1].fields["balls"])[0]["x"] == 30 - 8

@@ -36,7 +36,7 @@ def test_four_frames_are_read_from_a_start_on(client, clip, as_text):
     service = FakeService()
     forecast = client(service).predict(str(clip) if as_text else clip, start_s=1.0, horizon=3)
     expected = read_frames(clip, start_s=1.0)
-    asked = service.asked[-1]
+    asked = service.requests[-1]
     assert [*asked.frames] == [encoded(frame, None) for frame in expected.frames]
     assert float(asked.fields["frame_rate"]) == pytest.approx(40)
     assert "start_s" not in asked.fields
@@ -51,7 +51,7 @@ def test_streams_and_many_calls_take_videos_too(client, clip):
     assert len(list(stream)) == 3
     forecasts = connected.predict_many([clip, clip], start_s=0.5, horizon=3)
     assert len(forecasts) == 2
-    sent = [asked.frames for asked in service.asked if asked.path != "/models"]
+    sent = [asked.frames for asked in service.requests if asked.path != "/models"]
     assert len({frames[0] for frames in sent}) == 1
 
 
@@ -87,9 +87,9 @@ def test_frames_are_as_they_were_taken_for_a_model_that_is_told_their_rate(
     service = ToldItsRate()
     forecast = client(service).predict(video, horizon=3)
     assert forecast.warnings == ()
-    assert float(service.asked[-1].fields["frame_rate"]) == pytest.approx(taken, rel=0.02)
+    assert float(service.requests[-1].fields["frame_rate"]) == pytest.approx(taken, rel=0.02)
     expected = read_frames(video, frame_rate=taken)
-    assert [*service.asked[-1].frames] == [encoded(frame, None) for frame in expected.frames]
+    assert [*service.requests[-1].frames] == [encoded(frame, None) for frame in expected.frames]
 
 
 def test_a_rate_that_is_asked_for_is_blended(client, tmp_path):
@@ -104,7 +104,7 @@ def test_a_clip_with_a_final_frame_is_read_for_models_that_are_not_told_the_rate
     final = np.full((SIDE, SIDE, 3), 90, np.uint8)
     forecast = client(service).predict(video, final_frame=final, horizon=3)
     assert "no frames 40 a second apart" in forecast.warnings[0]
-    assert float(service.asked[-1].fields["frame_rate"]) == pytest.approx(40)
+    assert float(service.requests[-1].fields["frame_rate"]) == pytest.approx(40)
 
 
 def test_a_named_version_is_told_its_rate_and_auto_asks_default_ones(client):
@@ -129,7 +129,7 @@ def test_a_model_says_how_its_videos_are_read(client, clip):
 
     service = OfASetUp()
     forecast = client(service).predict(clip, horizon=3, model="fake")
-    assert [asked.path for asked in service.asked] == ["/models/fake", "/predict"]
+    assert [asked.path for asked in service.requests] == ["/models/fake", "/predict"]
     assert forecast.frame_size == (40, 40)
     assert forecast.frame_rate == pytest.approx(20)
 

@@ -71,7 +71,7 @@ def test_every_sequence_may_have_its_final_frame(client):
         SEQUENCES[:2], final_frames=[frames[0] for frames in SEQUENCES[:2]]
     )
     assert all(forecast.final_positions is not None for forecast in forecasts)
-    assert all(asked.final_frame in asked.frames for asked in service.asked)
+    assert all(sent.final_frame in sent.frames for sent in service.requests)
 
 
 def test_the_first_that_fails_ends_them_all(client):
@@ -109,4 +109,4 @@ def test_what_does_not_fit_is_told_before_anything_is_sent(client, named):
     service = FakeService()
     with pytest.raises(ValueError, match=r"concurrency is 0|shorter"):
         client(service).predict_many(SEQUENCES, **named)
-    assert service.asked == []
+    assert service.requests == []

@@ -13,7 +13,7 @@ from PIL import Image
 from rollcast.client import Client, Forecast
 from rollcast.client.testing import FakeService
 from rollcast.errors import MissingExtraError, RollcastError
-from rollcast.plot import FILM_PX, OVERVIEW_PX, PANEL_PX
+from rollcast.plot import OVERVIEW_PX, PANEL_PX, VIDEO_PX
 from rollcast.schemas import PredictResponse
 
 SIDE = 64
@@ -144,17 +144,17 @@ def test_a_forecast_is_saved_as_a_video_of_every_step(forecast, scene, tmp_path,
     with av.open(path) as container:
         pictures = [picture.to_ndarray(format="rgb24") for picture in container.decode(video=0)]
     assert len(pictures) == 40
-    assert {picture.shape for picture in pictures} == {(FILM_PX, FILM_PX, 3)}
+    assert {picture.shape for picture in pictures} == {(VIDEO_PX, VIDEO_PX, 3)}
     # The ball of the frames is where it was in the last of them.
-    x, y = (scene.positions[0, 12] * FILM_PX / SIDE).astype(int)
+    x, y = (scene.positions[0, 12] * VIDEO_PX / SIDE).astype(int)
     assert pictures[-1][y, x, 0] > 150 > pictures[0][y, x, 0]
     # Without frames the path is drawn on a plain ground.
     forecast.save(path)
     with av.open(path) as container:
         last = [picture.to_ndarray(format="rgb24") for picture in container.decode(video=0)][-1]
-    x, y = (forecast.positions[0, 39] * FILM_PX / SIDE).astype(int)
+    x, y = (forecast.positions[0, 39] * VIDEO_PX / SIDE).astype(int)
     assert last[y - 8 : y + 8, x - 8 : x + 8].max() > 150
-    assert last[FILM_PX - 8 :, :8].max() < 60
+    assert last[VIDEO_PX - 8 :, :8].max() < 60
 
 
 def test_a_forecast_is_saved_as_json_that_makes_it_again(forecast, tmp_path):
@@ -210,6 +210,6 @@ def test_numbers_of_numpy_are_numbers(scene):
         )
     assert forecast.positions.shape == (2, 7, 2)
     assert forecast.frame_rate == 20
-    assert service.asked[0].fields["seed"] == 1
-    assert service.asked[0].fields["scene"]["positions_m"] == [[0, 0, 0], [0, 0, 0]]
-    assert service.asked[1].fields["horizon"] == "7"
+    assert service.requests[0].fields["seed"] == 1
+    assert service.requests[0].fields["scene"]["positions_m"] == [[0, 0, 0], [0, 0, 0]]
+    assert service.requests[1].fields["horizon"] == "7"

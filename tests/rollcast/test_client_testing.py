@@ -46,7 +46,7 @@ def test_its_forecasts_go_on_where_its_scenes_show_the_balls(client, scenario, o
 def test_its_scenes_have_a_ground_where_it_is_asked_for(client, scenario):
     connected = client(service := FakeService())
     assert connected.simulate(scenario, seed=3).surface is None
-    assert "include_surface" not in service.asked[0].fields, "older services do not know it"
+    assert "include_surface" not in service.requests[0].fields, "older services do not know it"
     scene = connected.simulate(scenario, seed=3, include_surface=True)
     heights = scene.surface.heights_m
     assert (heights.dtype, heights.shape) == (np.float64, (9, 9))
@@ -89,7 +89,7 @@ def test_it_keeps_what_it_was_asked(client):
     connected = client(service)
     connected.predict(FRAMES, horizon=5, model="dot", final_frame=FRAMES[0])
     connected.simulate("hemisphere", seed=9)
-    first, second = service.asked
+    first, second = service.requests
     assert (first.method, first.path, first.fields["horizon"]) == ("POST", "/predict", "5")
     assert len(first.frames) == 4
     assert first.final_frame == first.frames[0]
@@ -151,7 +151,7 @@ def test_a_session_is_answered_at_once(path):
             assert isinstance(refused.error, BadRequestError)
         with pytest.raises(BadRequestError), client.session():
             pass
-    asked = service.asked[0]
+    asked = service.requests[0]
     assert (asked.method, asked.path, len(asked.frames)) == ("GET", "/stream", 7)
     assert asked.fields == {"model": "auto", "horizon": 3, "frame_rate": 30.0}
 

@@ -108,7 +108,7 @@ def test_a_model_for_footage_gets_what_it_knows(run, service, video):
     lines = printed.splitlines()
     assert lines[0] == "dot@3: four frames from 0.000 s to 0.100 s (30 a second), crop 20,4,60"
     assert lines[-1] == "warning: beware", "nothing is blended"
-    _, printed, _ = run(video, "--model", "dot", "--horizon", 2, "--crop", "0,0,64", "--every", 2)
+    _, printed, _ = run(video, "--model", "dot", "--horizon", 2, "--crop", "0,0,64", "--stride", 2)
     assert "(15 a second), crop 0,0,64" in printed.splitlines()[0]
 
 
@@ -201,7 +201,7 @@ DRAWN = "is not a .png, .jpg, .jpeg, .webp, .mp4, .webm, .gif file"
         (["clip.mp4", "--crop", "-1,2,3"], "'--crop'"),
         (["clip.mp4", "--start", "soon"], "soon is not a number of seconds"),
         (["clip.mp4", "--start", "nan"], "nan is not a number of seconds"),
-        (["clip.mp4", "--every", "0"], "0 is not a whole number from 1 to 1000"),
+        (["clip.mp4", "--stride", "0"], "0 is not a whole number from 1 to 1000"),
         (["clip.mp4", "--rate", "0"], "0 is not a rate in Hz"),
         (["clip.mp4", "--horizon", "0"], "0 is not a whole number from 1 to 1000"),
         (["clip.mp4", "--horizon", "1.5"], "1.5 is not a whole number from 1 to 1000"),

@@ -12,7 +12,7 @@ from PIL import Image
 from rollcast.__main__ import main
 from rollcast.client import Client
 from rollcast.client.testing import FakeService
-from rollcast.plot import FILM_PX
+from rollcast.plot import VIDEO_PX
 
 SIDE = 64
 OFF = 8
@@ -60,35 +60,35 @@ def video(tmp_path):
 
 
 def frame_rate(service):
-    return float(service.asked[-1].fields["frame_rate"])
+    return float(service.requests[-1].fields["frame_rate"])
 
 
 def brightness(service):
     """Of the frames that were sent."""
     return [
         int(np.asarray(Image.open(io.BytesIO(frame)))[0, 0, 0])
-        for frame in service.asked[-1].frames
+        for frame in service.requests[-1].frames
     ]
 
 
 def test_every_nth_frame_of_a_video(run, service, video):
-    assert run(video, "--every", 3, "--start", 0.1)[0] == 0
+    assert run(video, "--stride", 3, "--start", 0.1)[0] == 0
     assert frame_rate(service) == pytest.approx(20, rel=0.02)
     np.testing.assert_allclose(brightness(service), [24, 36, 48, 60], atol=1)
-    assert run(video, "--every", 1)[0] == 0
+    assert run(video, "--stride", 1)[0] == 0
     assert frame_rate(service) == pytest.approx(60, rel=0.02)
     np.testing.assert_allclose(brightness(service), [0, 4, 8, 12], atol=1)
 
 
 def test_every_nth_image_and_their_rate(run, service, images):
-    assert run(images, "--every", 2, "--rate", 100)[0] == 0
+    assert run(images, "--stride", 2, "--rate", 100)[0] == 0
     assert frame_rate(service) == pytest.approx(50)
     assert brightness(service) == [0, 40, 80, 120]
-    assert "ends before 0.300 s; 4 frames from 0 s do not fit" in run(images, "--every", 4)[2]
+    assert "ends before 0.300 s; 4 frames from 0 s do not fit" in run(images, "--stride", 4)[2]
 
 
 def test_slow_motion_has_the_rate_that_is_named(run, service, video):
-    assert run(video, "--rate", 240, "--every", 6, "--start", 0.05)[0] == 0
+    assert run(video, "--rate", 240, "--stride", 6, "--start", 0.05)[0] == 0
     assert frame_rate(service) == pytest.approx(40)
     # Frame 12 of 60 a second was taken after 0.05 s, not after 0.2 s.
     np.testing.assert_allclose(brightness(service), [48, 72, 96, 120], atol=1)
@@ -97,7 +97,7 @@ def test_slow_motion_has_the_rate_that_is_named(run, service, video):
 def test_what_is_asked_of_the_service(run, service, images):
     options = ["--num-objects", 2, "--scenario", "ellipsoid", "--model", "fake", "--horizon", 7]
     assert run(images, *options)[0] == 0
-    fields = service.asked[-1].fields
+    fields = service.requests[-1].fields
     assert {name: fields[name] for name in ("num_objects", "scenario", "model", "horizon")} == {
         "num_objects": "2",
         "scenario": "ellipsoid",
@@ -132,14 +132,14 @@ def test_json_is_the_whole_forecast(run, images):
     assert len(answer["warnings"]) == 1
 
 
-def film_frames(path):
-    """Every picture of a film and how long it lasts, seconds."""
+def video_frames(path):
+    """Every picture of a video and how long it lasts, seconds."""
     if path.suffix == ".gif":
-        with Image.open(path) as film:
+        with Image.open(path) as video:
             frames = []
-            for number in range(film.n_frames):
-                film.seek(number)
-                frames.append((np.asarray(film.convert("RGB")), film.info["duration"] / 1000))
+            for number in range(video.n_frames):
+                video.seek(number)
+                frames.append((np.asarray(video.convert("RGB")), video.info["duration"] / 1000))
         return frames
     with av.open(path) as container:
         rate = float(container.streams.video[0].average_rate)
@@ -147,18 +147,18 @@ def film_frames(path):
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".webm", ".gif"])
-def test_a_film_shows_the_footage_with_the_forecast_over_it(run, images, tmp_path, suffix):
+def test_a_video_shows_the_footage_with_the_forecast_over_it(run, images, tmp_path, suffix):
     out = tmp_path / f"overlay{suffix}"
-    code, printed, errors = run(images, "--out", out, "--horizon", 15, "--slower", 2)
+    code, printed, errors = run(images, "--out", out, "--horizon", 15, "--slowdown", 2)
     assert (code, errors) == (0, ""), printed
-    frames = film_frames(out)
+    frames = video_frames(out)
     assert len(frames) == 3 + 15
-    assert all(frame.shape == (FILM_PX, FILM_PX, 3) for frame, _ in frames)
+    assert all(frame.shape == (VIDEO_PX, VIDEO_PX, 3) for frame, _ in frames)
     assert sum(seconds for _, seconds in frames) == pytest.approx(18 / 20, rel=0.05)
     corner = [int(frame[-5, -5, 0]) for frame, _ in frames]
     # The footage goes on under the forecast, and its last frame stays when it ends.
     np.testing.assert_allclose(corner, [20 * min(index, 11) for index in range(18)], atol=8)
-    scale = FILM_PX / SIDE
+    scale = VIDEO_PX / SIDE
     for index, (frame, _) in enumerate(frames):
         x, y = (np.array([0.3 + 0.01 * index, 0.3 + 0.004 * index]) * SIDE * scale).astype(int)
         patch = frame[y - 3 : y + 4, x - 3 : x + 4].astype(int)
@@ -166,10 +166,10 @@ def test_a_film_shows_the_footage_with_the_forecast_over_it(run, images, tmp_pat
         assert (contrast > 60) == (index >= 3), "the observed frames are shown as they are"
 
 
-def test_a_film_over_a_video(run, video, tmp_path):
+def test_a_video_over_a_video(run, video, tmp_path):
     out = tmp_path / "overlay.mp4"
     assert run(video, "--out", out, "--horizon", 100, "--start", 0.2)[0] == 0
-    frames = film_frames(out)
+    frames = video_frames(out)
     assert len(frames) == 103
     corner = [int(frame[-5, -5, 0]) for frame, _ in frames]
     assert corner[20] > corner[5] + 20
@@ -183,7 +183,7 @@ def test_points_say_which_balls_are_meant(run, service, images):
     assert code == 0
     assert told["crop"] is None
     width, height = SIDE + 2 * OFF, SIDE
-    assert Image.open(io.BytesIO(service.asked[-1].frames[0])).size == (width, height)
+    assert Image.open(io.BytesIO(service.requests[-1].frames[0])).size == (width, height)
     first, second = told["objects"]
     assert first["positions"][0] == pytest.approx([70, 20])
     assert second["seen"][3] == pytest.approx({"x": 10, "y": 40, "radius": 5})
@@ -193,7 +193,7 @@ def test_points_say_which_balls_are_meant(run, service, images):
 def test_points_stay_those_of_the_picture_with_a_crop(run, service, images):
     code, out, _ = run(images, "--ball", "30,20", "--crop", f"{OFF},0,{SIDE}", "--format", "json")
     assert code == 0
-    assert json.loads(service.asked[-1].fields["balls"])[0]["x"] == 30 - OFF
+    assert json.loads(service.requests[-1].fields["balls"])[0]["x"] == 30 - OFF
     told = json.loads(out)["objects"][0]
     assert told["positions"][0] == pytest.approx([30, 20])
     assert told["seen"][3]["x"] == pytest.approx(30)
@@ -213,8 +213,8 @@ def test_whole_pictures_are_drawn_whole(run, images, tmp_path, kind):
         with Image.open(path) as picture:
             width, height = picture.size
     else:
-        with av.open(path) as film:
-            width, height = film.streams.video[0].width, film.streams.video[0].height
+        with av.open(path) as video:
+            width, height = video.streams.video[0].width, video.streams.video[0].height
     assert width > height
 
 

@@ -99,7 +99,7 @@ def test_the_frame_of_a_later_step_goes_along(run, tmp_path):
     )
     assert (code, errors) == (0, "")
     assert len(printed.splitlines()) == 1 + 16
-    _, asked = service.asked  # the models first
+    _, asked = service.requests  # the models first
     assert asked.fields["horizon"] == "16"
     assert asked.final_frame is not None
     shown = sorted((tmp_path / "scene").glob("*.png"))[18]
@@ -108,7 +108,7 @@ def test_the_frame_of_a_later_step_goes_along(run, tmp_path):
     code, printed, errors = run("predict", tmp_path / "scene", "--final", 17, service=service)
     assert (code, printed, errors.count("\n")) == (1, "", 1)
     assert "--final is 17, whose frame lies 0.50 s after the start of the footage" in errors
-    assert [asked.path for asked in service.asked].count("/predict") == 1
+    assert [asked.path for asked in service.requests].count("/predict") == 1
 
 
 def test_a_folder_may_have_its_truth_as_json(run, tmp_path):
@@ -123,15 +123,15 @@ def test_nothing_is_written_over(run, tmp_path):
     code, _, errors = run("simulate", "hemisphere", "--out", tmp_path, service=service)
     assert (code, errors.count("\n")) == (1, 1)
     assert "is not an empty folder" in errors
-    assert service.asked == []
+    assert service.requests == []
 
 
-def test_a_scene_becomes_a_film(run, tmp_path):
+def test_a_scene_becomes_a_video(run, tmp_path):
     out = tmp_path / "scene.gif"
     code, printed, errors = run("simulate", "hemisphere", "--steps", 6, "--out", out)
     assert (code, printed, errors) == (0, f"{out}: 6 frames\n", "")
-    with Image.open(out) as film:
-        assert (film.n_frames, film.size) == (6, (128, 128))
+    with Image.open(out) as video:
+        assert (video.n_frames, video.size) == (6, (128, 128))
     code, _, errors = run("simulate", "hemisphere", "--size", 65, "--out", tmp_path / "scene.mp4")
     assert (code, errors) == (1, "rollcast: --size is 65; a video needs an even size\n")
 
@@ -322,8 +322,8 @@ Usage: rollcast predict [OPTIONS] {VIDEO|FOLDER|IMAGES}...
   Examples:
     rollcast predict clip.mp4 --start 2.0 --crop 100,0,480 --out overlay.png
     rollcast predict clip.mp4 --ball 412,230 --ball 105,88 --out rings.png
-    rollcast predict clip.mp4 --every 3 --out overlay.mp4 --slower 4
-    rollcast predict frames/ --rate 120 --every 3 --format csv > forecast.csv
+    rollcast predict clip.mp4 --stride 3 --out overlay.mp4 --slowdown 4
+    rollcast predict frames/ --rate 120 --stride 3 --format csv > forecast.csv
     rollcast predict clip.mp4 --final 39 --out between.png
 
 Arguments:
@@ -334,7 +334,7 @@ Arguments:
 
 Options:
   --start SECONDS                 time of the first of the four frames in the video (default: 0)
-  --every N                       use every N-th frame without interpolation (default: 40 frames
+  --stride N                      use every N-th frame without interpolation (default: 40 frames
                                   per second)
   --rate HZ                       frame rate of the camera in Hz, for images (default: 40),
                                   elementary streams, which do not state it, and slow motion,
@@ -361,7 +361,7 @@ Options:
   --format <table|json|csv>       output format  [default: table]
   --out FILE                      draw the forecast over the footage: a picture (.png, .jpg,
                                   .webp) or a video (.mp4, .webm, .gif)
-  --slower N                      play the video N times slower than real time  [default: 1]
+  --slowdown N                    play the video N times slower than real time  [default: 1]
   -h, --help                      Show this message and exit.
 """)
     assert texts["simulate"] == snapshot("""\
@@ -374,7 +374,7 @@ Usage: rollcast simulate [OPTIONS] {SCENARIO}
   Examples:
     rollcast simulate ellipsoid --seed 7
     rollcast simulate ellipsoid --seed 7 --out scene && rollcast predict scene
-    rollcast simulate heightfield --steps 200 --size 512 --out scene.mp4 --slower 2
+    rollcast simulate heightfield --steps 200 --size 512 --out scene.mp4 --slowdown 2
 
 Arguments:
   SCENARIO <hemisphere|ellipsoid|heightfield|table>
@@ -390,7 +390,7 @@ Options:
   --format <table|json|csv>  output format  [default: table]
   --out FOLDER|FILE          an empty or new folder for the frames, the true path and the scene;
                              or a video of the frames (.mp4, .webm, .gif)
-  --slower N                 play the video N times slower than real time  [default: 1]
+  --slowdown N               play the video N times slower than real time  [default: 1]
   -h, --help                 Show this message and exit.
 """)
     assert texts["models"] == snapshot("""\
@@ -455,7 +455,7 @@ Options:
     [
         ("rollcast pre", "predict"),
         ("rollcast simulate el", "ellipsoid"),
-        ("rollcast predict --sl", "--slower"),
+        ("rollcast predict --sl", "--slowdown"),
     ],
     ids=["a command", "a scenario", "an option"],
 )

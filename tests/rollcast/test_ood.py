@@ -36,7 +36,7 @@ def test_a_final_frame_is_left_out():
     np.testing.assert_array_equal(frame_stats(frames).texture, frame_stats(frames[:4]).texture)
 
 
-def test_the_thumbnail_is_the_mean_colour_of_its_cells():
+def test_the_thumbnail_is_the_mean_color_of_its_cells():
     frames = np.zeros_like(GREY)
     frames[:, :16, 112:] = (255, 51, 0)
     thumbnail = frame_stats(frames).thumbnail.reshape(8, 8, 3)

@@ -80,7 +80,7 @@ def test_every_frame_has_its_time_in_the_corner():
     assert (picture[:30, :200] == 255).any()
 
 
-def test_balls_have_colours_of_their_own():
+def test_balls_have_colors_of_their_own():
     picture = np.asarray(draw_forecast(frames(1), np.zeros(1), forecast(objects=2)))
     for y, color in zip((30, 50), PALETTE[:2], strict=True):
         assert (picture[y * SCALE, 25 * SCALE] == ImageColor.getrgb(color)).all()

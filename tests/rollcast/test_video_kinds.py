@@ -187,8 +187,8 @@ def test_pictures_are_turned_and_mirrored_as_their_display_matrix_says(
 
 
 @pytest.mark.parametrize(("tag", "space"), [(1, "ITU709"), (5, "ITU601"), (6, "ITU601")])
-def test_colours_are_those_of_the_files_tag(tmp_path, tag, space):
-    colour = np.array([200, 60, 30], np.uint8)
+def test_colors_are_those_of_the_files_tag(tmp_path, tag, space):
+    color = np.array([200, 60, 30], np.uint8)
     path = tmp_path / "clip.mp4"
     with av.open(path, "w") as container:
         stream = container.add_stream("libx264", rate=40, options={"crf": "1"})
@@ -196,7 +196,7 @@ def test_colours_are_those_of_the_files_tag(tmp_path, tag, space):
         stream.pix_fmt = "yuv420p"
         stream.codec_context.colorspace = tag
         for _ in range(8):
-            rgb = av.VideoFrame.from_ndarray(np.tile(colour, (64, 64, 1)), format="rgb24")
+            rgb = av.VideoFrame.from_ndarray(np.tile(color, (64, 64, 1)), format="rgb24")
             container.mux(
                 stream.encode(
                     rgb.reformat(
@@ -210,7 +210,7 @@ def test_colours_are_those_of_the_files_tag(tmp_path, tag, space):
             )
         container.mux(stream.encode())
     shown = next(open_clip(path).frames()).load()[32, 32].astype(int)
-    assert np.abs(shown - colour).max() <= 4, shown
+    assert np.abs(shown - color).max() <= 4, shown
 
 
 def test_pipes_devices_and_empty_files_are_refused_at_once(tmp_path):

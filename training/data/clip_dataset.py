@@ -318,7 +318,7 @@ def _clip(path: Path, crop: SquareCrop | None, name: str) -> Clip:
         missed,
         1 / usual,
         crop,
-        tracks.colours,
+        tracks.colors,
     )
 
 

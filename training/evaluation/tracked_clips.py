@@ -68,7 +68,7 @@ def run(url: str, service: int, clip: Path) -> Run | str:
         command = [sys.executable, "-m", "rollcast", "track", str(clip.resolve())]
         before_s = _cpu_s(service)
         process = subprocess.Popen(
-            [*command, "--url", url, "--out", folder, "--no-film"],
+            [*command, "--url", url, "--out", folder, "--no-video"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,

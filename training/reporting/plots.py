@@ -60,10 +60,10 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
             if baseline:
                 axes.plot(steps, middle, baseline, color="#666666", label=curve.method)
                 continue
-            style, colour = _look(methods.index(curve.method))
-            axes.plot(steps, middle, linestyle=style, color=colour, label=curve.method)
+            style, color = _look(methods.index(curve.method))
+            axes.plot(steps, middle, linestyle=style, color=color, label=curve.method)
             shade = 0.05 if beside else 0.15
-            axes.fill_between(steps, low, high, color=colour, alpha=shade, linewidth=0)
+            axes.fill_between(steps, low, high, color=color, alpha=shade, linewidth=0)
         trained = {c.trained_horizon for c in curves if c.trained_horizon is not None}
         for horizon in trained:
             axes.axvline(horizon, color="#bbbbbb", linewidth=1, zorder=0)
@@ -140,12 +140,12 @@ def draw_conditions(results: Results, path: Path) -> None:
             for axes, at in zip(row, dict.fromkeys(cell.at for cell in cells), strict=True):
                 for place, method in enumerate(methods):
                     own = [cell for cell in cells if (cell.method, cell.at) == (method, at)]
-                    colour = "#666666" if method in _BASELINE_STYLES else _look(place)[1]
+                    color = "#666666" if method in _BASELINE_STYLES else _look(place)[1]
                     axes.errorbar(
                         [conditions.index(cell.condition) for cell in own],
                         [cell.position_error_px for cell in own],
                         [cell.standard_error_px for cell in own],
-                        fmt=_BASELINE_STYLES.get(method, "-") + "o", color=colour, label=method,
+                        fmt=_BASELINE_STYLES.get(method, "-") + "o", color=color, label=method,
                     )  # fmt: skip
                 names = [name or "usual scenes" for name in conditions]
                 axes.set_xticks(range(len(names)), names, rotation=20, ha="right")
@@ -217,9 +217,9 @@ def draw_calibration(curves: Sequence[Curve], path: Path) -> None:
             for curve in measured:
                 if curve.scenario == scenario:
                     assert curve.coverage is not None
-                    style, colour = _look(methods.index(curve.method))
+                    style, color = _look(methods.index(curve.method))
                     axes.plot(
-                        LEVELS, curve.coverage, linestyle=style, color=colour, label=curve.method
+                        LEVELS, curve.coverage, linestyle=style, color=color, label=curve.method
                     )
             axes.set(xlabel="share that the ellipse should hold", xlim=(0, 1), ylim=(0, 1))
             axes.set_title(scenario)
@@ -255,14 +255,14 @@ def draw_ellipses(
             size = window.frames.shape[1]
             axes.imshow(window.frames[3], extent=(0, size, size, 0))
             for ball in range(made.positions.shape[1]):
-                colour = PALETTE[ball]
+                color = PALETTE[ball]
                 path_px, truth = made.positions[0, ball], made.true_positions[0, ball]
                 axes.plot(*truth.T, color="white", linewidth=1.5)
-                axes.plot(*path_px.T, color=colour, linewidth=1.5)
+                axes.plot(*path_px.T, color=color, linewidth=1.5)
                 if made.covariances is not None:
                     for step in range(every - 1, len(path_px), every):
                         axes.add_patch(
-                            _ellipse(path_px[step], made.covariances[0, ball, step], colour)
+                            _ellipse(path_px[step], made.covariances[0, ball, step], color)
                         )
             axes.set(xlim=(0, size), ylim=(size, 0), xticks=[], yticks=[], title=caption)
         for unused in places:
@@ -270,11 +270,11 @@ def draw_ellipses(
         figure.savefig(path, metadata={"Software": None})
 
 
-def _ellipse(centre: np.ndarray, covariance: np.ndarray, colour: str) -> Ellipse:
+def _ellipse(centre: np.ndarray, covariance: np.ndarray, color: str) -> Ellipse:
     variances, axes = np.linalg.eigh(covariance)
     width, height = 2 * SIGMAS * np.sqrt(variances)
     angle = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0])))
     return Ellipse(
         (float(centre[0]), float(centre[1])), float(width), float(height), angle=angle,
-        fill=False, color=colour, linewidth=1,
+        fill=False, color=color, linewidth=1,
     )  # fmt: skip

@@ -53,7 +53,7 @@ export class Chart {
   }
 
   /** Draw anew in the colours of another theme. */
-  recolour() {
+  recolor() {
     this._plot?.destroy();
     this._plot = null;
     if (this._shown) this.show(...this._shown);

@@ -1,4 +1,4 @@
-/** Downloads: the forecast as JSON, the stage as a picture, an animation or a film. */
+/** Downloads: the forecast as JSON, the stage as a picture, an animation or a video. */
 
 import { GIFEncoder, applyPalette, quantize } from "../vendor/gifenc/gifenc.esm.js";
 import { breathe, canvasOf, make } from "./dom.js";
@@ -9,7 +9,7 @@ import { panelsOf, phaseOf } from "./stage.js";
 import { LAST_SEEN } from "./state.js";
 
 const PICTURE_PX = 720;
-const FILM_PX = 480;
+const VIDEO_PX = 480;
 const GIF_PX = 320;
 const STRIP = 0.085;
 
@@ -77,10 +77,10 @@ export async function asGif(shown, progress) {
 
 /**
  * @param {(share: number) => void} progress
- * @returns {Promise<Blob>} a film at half speed, recorded while it plays
+ * @returns {Promise<Blob>} a video at half speed, recorded while it plays
  */
 export async function asWebm(shown, progress) {
-  const composition = new Composition(shown, FILM_PX);
+  const composition = new Composition(shown, VIDEO_PX);
   const canvas = composition.draw(0);
   const stream = canvas.captureStream(0);
   const [track] = stream.getVideoTracks();
@@ -116,7 +116,7 @@ class Composition {
     const count = panelsOf(take, forecasts, choices, 0).length;
     this._side = count > 1 ? Math.round(side * 0.75) : side;
     this._strip = 2 * Math.round((side * STRIP) / 2);
-    // Encoders of films want even sides.
+    // Encoders of videos want even sides.
     this._canvas = canvasOf(2 * Math.ceil((this._side * count) / 2), this._side + this._strip);
     this._canvas.getContext("2d", { willReadFrequently: true });
   }

@@ -40,8 +40,8 @@ export class LazySurface {
     this._surface?.reset();
   }
 
-  recolour() {
-    this._surface?.recolour();
+  recolor() {
+    this._surface?.recolor();
   }
 
   /** Load it once it is in sight; the first forecast comes before. */

@@ -375,8 +375,8 @@ const sharing = installSharing(() => ({
 installControls(store);
 installTransport(player);
 installTheme(() => {
-  chart.recolour();
-  surface.recolour();
+  chart.recolor();
+  surface.recolor();
 });
 byId("controls").addEventListener("submit", (event) => {
   event.preventDefault();

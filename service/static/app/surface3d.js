@@ -73,7 +73,7 @@ export class Surface3d {
     this._draw();
   }
 
-  recolour() {
+  recolor() {
     if (!this._take) return;
     this._setGround(this._take);
     this._setPaths();

@@ -43,7 +43,7 @@ def test_every_pattern_and_every_kind_of_clutter_is_drawn(drawn):
     assert {thing.kind for a in drawn for thing in a.clutter} == set(CLUTTER_KINDS)
 
 
-def test_colours_and_shares_lie_between_zero_and_one(drawn):
+def test_colors_and_shares_lie_between_zero_and_one(drawn):
     for a in drawn:
         colors = (*a.ball.colors, *a.ground.colors, *a.surroundings.colors)
         assert 0 <= np.min(colors) <= np.max(colors) <= 1
@@ -53,7 +53,7 @@ def test_colours_and_shares_lie_between_zero_and_one(drawn):
         assert 1 <= a.sensor.quality <= 100
 
 
-def test_grounds_and_balls_are_white_black_grey_and_coloured(drawn):
+def test_grounds_and_balls_are_white_black_grey_and_colored(drawn):
     balls = np.array([a.ball.colors[0] for a in drawn])
     grounds = np.array([mean_color(a.ground) for a in drawn])
     for colors in (balls, grounds):

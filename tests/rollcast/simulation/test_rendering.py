@@ -82,7 +82,7 @@ def test_the_higher_ball_hides_the_lower_one(scenes, scenario):
         assert 0 < np.sum(shown == lower) < 0.8 * np.sum(shown == higher)
 
 
-def test_several_balls_have_their_colours_and_a_highlight(scenes):
+def test_several_balls_have_their_colors_and_a_highlight(scenes):
     scene = scenes["hemisphere"]
     places = np.array([[-0.5, 0, 0.5], [0, 0.5, 0.5], [0.5, -0.3, 0.5]])
     frame = picture(scene, places).astype(int)
@@ -94,7 +94,7 @@ def test_several_balls_have_their_colours_and_a_highlight(scenes):
         assert np.all(middle - aside > 60) or middle[index] == 255
 
 
-def test_a_plain_ball_is_white_and_a_textured_one_has_several_colours():
+def test_a_plain_ball_is_white_and_a_textured_one_has_several_colors():
     place = np.array([[0.0, 0.0, 0.4]])
     white, textured = (
         picture(one_ball(textured=flag), place)[55:73, 55:73].reshape(-1, 3).astype(int)

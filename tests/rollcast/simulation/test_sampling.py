@@ -162,7 +162,7 @@ def test_balls_on_a_heightfield_start_with_2_to_4_m_s_along_each_axis(heightfiel
 
 @pytest.mark.parametrize(("objects", "textured"), [(1, True), (2, False), (3, False)])
 @pytest.mark.parametrize("scenario", ["hemisphere", "heightfield"])
-def test_one_ball_has_a_texture_and_several_have_colours(scenario, objects, textured):
+def test_one_ball_has_a_texture_and_several_have_colors(scenario, objects, textured):
     scene = draw(scenario, objects, 5)
     assert scene.objects == objects
     assert scene.textured == textured

@@ -1,4 +1,4 @@
-"""Films of discs that roll, bounce and collide over a patterned table, with the truth."""
+"""Videos of discs that roll, bounce and collide over a patterned table, with the truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from rollcast.video_writer import write_film
+from rollcast.video_writer import write_video
 
 WIDTH, HEIGHT = 240, 180
 RADIUS_PX = 9.0
 FRAME_RATE = 30.0
-COLOURS = ((220, 60, 50), (230, 200, 90), (30, 130, 60), (30, 60, 120))
+COLORS = ((220, 60, 50), (230, 200, 90), (30, 130, 60), (30, 60, 120))
 """Red, yellow, green, blue: the order of their hues."""
-BALLS = len(COLOURS)
+BALLS = len(COLORS)
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Billiards:
     """Where discs are, frame by frame, [frames, balls, 2] in pixels, and what they look like."""
 
     positions_px: np.ndarray
-    colours: Sequence[tuple[int, int, int]]
+    colors: Sequence[tuple[int, int, int]]
 
     def picture(self, index: int, *, light: float = 1.0, bar: bool = False) -> Image.Image:
         """Draw a frame; each disc is two-toned and turns, and throws a shadow."""
@@ -34,25 +34,25 @@ class Billiards:
             picture = picture * (1 - 0.25 * shade)
             turn = 0.15 * index + ball
             half = (np.cos(turn) * (x - u) + np.sin(turn) * (y - v) > 0)[..., None]
-            colour = np.array(self.colours[ball], float)
+            color = np.array(self.colors[ball], float)
             disc = np.clip(RADIUS_PX + 0.5 - np.hypot(x - u, y - v), 0, 1)[..., None]
-            picture = picture * (1 - disc) + disc * np.where(half, colour, 0.75 * colour)
+            picture = picture * (1 - disc) + disc * np.where(half, color, 0.75 * color)
         if bar:
             picture[:, 110:140] = (90, 90, 95)
         return Image.fromarray((light * picture).clip(0, 255).round().astype(np.uint8))
 
-    def film(self, path: Path, *, flicker: float = 0.0, bar: bool = False) -> Path:
+    def record(self, path: Path, *, flicker: float = 0.0, bar: bool = False) -> Path:
         """Write all frames as a video."""
         frames = range(len(self.positions_px))
         pictures = (
             self.picture(index, light=1 - flicker * (index % 3), bar=bar) for index in frames
         )
-        write_film(path, pictures, FRAME_RATE)
+        write_video(path, pictures, FRAME_RATE)
         return path
 
 
 def billiards(
-    balls: int, frames: int, seed: int, colours: Sequence[tuple[int, int, int]] = COLOURS
+    balls: int, frames: int, seed: int, colors: Sequence[tuple[int, int, int]] = COLORS
 ) -> Billiards:
     """Let equal discs bounce off the table's sides and off each other, without friction."""
     generator = np.random.default_rng(seed)
@@ -78,4 +78,4 @@ def billiards(
                     velocities[one] -= closing * normal
                     velocities[other] += closing * normal
         way.append(positions.copy())
-    return Billiards(np.stack(way), colours[:balls])
+    return Billiards(np.stack(way), colors[:balls])

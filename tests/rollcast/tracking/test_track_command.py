@@ -24,10 +24,10 @@ def service():
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory):
     folder = tmp_path_factory.mktemp("clips")
-    return [billiards(2, 60, seed).film(folder / f"clip{seed}.mp4") for seed in (1, 2)]
+    return [billiards(2, 60, seed).record(folder / f"clip{seed}.mp4") for seed in (1, 2)]
 
 
-def test_clips_get_tracks_a_report_and_a_film_each(clips, tmp_path, capsys):
+def test_clips_get_tracks_a_report_and_a_video_each(clips, tmp_path, capsys):
     out = tmp_path / "new" / "tracks"
     assert main(["track", *map(str, clips), "--balls", "2", "--out", str(out)]) == 0
     said = capsys.readouterr().out
@@ -36,19 +36,19 @@ def test_clips_get_tracks_a_report_and_a_film_each(clips, tmp_path, capsys):
         assert (tracks.clip, tracks.balls) == (clip.stem, 2)
         report = json.loads((out / f"{clip.stem}.json").read_text())
         assert report["frames"] == 60
-        assert sum(1 for _ in every_frame(out / "films" / f"{clip.stem}.mp4")) == 60
+        assert sum(1 for _ in every_frame(out / "videos" / f"{clip.stem}.mp4")) == 60
         assert f"{clip.stem}: 60 frames, 2.0 s, {100 * report['found']:.1f} %" in said
 
 
 def test_tracks_are_written_as_csv(clips, tmp_path, capsys):
     assert (
-        main(["track", str(clips[0]), "--out", str(tmp_path), "--format", "csv", "--no-film"]) == 0
+        main(["track", str(clips[0]), "--out", str(tmp_path), "--format", "csv", "--no-video"]) == 0
     )
     rows = np.genfromtxt(tmp_path / "clip1.csv", delimiter=",", names=True, skip_header=1)
     assert len(rows) == 2 * 60
     tracks = Tracks.read(tmp_path / "clip1.csv")
     np.testing.assert_array_equal(tracks.positions_px[..., 0].ravel(), rows["x"])
-    assert not (tmp_path / "films").exists()
+    assert not (tmp_path / "videos").exists()
 
 
 def test_clips_of_one_name_in_two_folders_are_kept_apart(clips, tmp_path, capsys):
@@ -62,7 +62,7 @@ def test_clips_of_one_name_in_two_folders_are_kept_apart(clips, tmp_path, capsys
     tracks = [Tracks.read(day / "CLIP.parquet") for day in days]
     assert [one.clip for one in tracks] == ["mon/CLIP", "tue/CLIP"]
     assert not np.allclose(*(one.positions_px for one in tracks), equal_nan=True)
-    assert (out / "films/tue/CLIP.mp4").exists()
+    assert (out / "videos/tue/CLIP.mp4").exists()
     # The same clip may be tracked again, another one of its name does not replace it.
     capsys.readouterr()
     (days[0] / "CLIP.MP4").write_bytes((days[1] / "CLIP.MP4").read_bytes())

@@ -1,4 +1,4 @@
-"""Tracks of made-up films beside the truth."""
+"""Tracks of made-up videos beside the truth."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,12 +15,12 @@ from rollcast.tracking.finder import LEAST_SCORE
 from rollcast.tracking.overlay import draw_tracks
 from rollcast.tracking.track import Tracked, track
 from rollcast.tracking.tracks import Tracks
-from rollcast.video_writer import write_film
+from rollcast.video_writer import write_video
 from service.inference.ball_predictor import BallPredictor
 from service.inference.onnx_runtime import open_predictor
 from tests.rollcast.tracking.billiards import (
     BALLS,
-    COLOURS,
+    COLORS,
     FRAME_RATE,
     HEIGHT,
     RADIUS_PX,
@@ -30,7 +30,7 @@ from tests.rollcast.tracking.billiards import (
 )
 
 FRAMES = 110
-NO_COLOURS = b"# {}\nclip,frame,time,ball,x,y,radius,confidence\nc,0,0.0,0,1,1,1,1\n"
+NO_COLORS = b"# {}\nclip,frame,time,ball,x,y,radius,confidence\nc,0,0.0,0,1,1,1,1\n"
 PERCEPTION = Path(__file__).parents[3] / "models/any-ball/1"
 
 
@@ -57,7 +57,7 @@ def finder():
 @pytest.fixture(scope="module")
 def four(finder, tmp_path_factory) -> tuple[Billiards, Tracked]:
     made = billiards(BALLS, FRAMES, seed=3)
-    path = made.film(tmp_path_factory.mktemp("four") / "four.mp4")
+    path = made.record(tmp_path_factory.mktemp("four") / "four.mp4")
     return made, track(path, finder)
 
 
@@ -68,8 +68,8 @@ def distances(tracks: Tracks, truth: np.ndarray) -> np.ndarray:
 def test_the_balls_are_counted_and_ordered_by_hue(four):
     tracks = four[1].tracks
     assert tracks.balls == BALLS
-    found = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in tracks.colours])
-    expected = 0.875 * np.array(COLOURS)  # one half is darker
+    found = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in tracks.colors])
+    expected = 0.875 * np.array(COLORS)  # one half is darker
     assert np.abs(found - expected).max() < 30
 
 
@@ -106,9 +106,9 @@ def test_radius_time_and_report_fit(four):
     assert missing == (~tracks.found).sum()
 
 
-def test_balls_of_one_colour_are_told_apart_by_where_they_go(tmp_path, finder):
-    made = billiards(2, FRAMES, seed=5, colours=[COLOURS[0], COLOURS[0]])
-    tracks = track(made.film(tmp_path / "alike.mp4"), finder, balls=2).tracks
+def test_balls_of_one_color_are_told_apart_by_where_they_go(tmp_path, finder):
+    made = billiards(2, FRAMES, seed=5, colors=[COLORS[0], COLORS[0]])
+    tracks = track(made.record(tmp_path / "alike.mp4"), finder, balls=2).tracks
     either = [distances(tracks, made.positions_px[:, order]) for order in ([0, 1], [1, 0])]
     assert min(np.nanmax(one) for one in either) < RADIUS_PX
 
@@ -128,7 +128,7 @@ def test_balls_of_one_colour_are_told_apart_by_where_they_go(tmp_path, finder):
 )
 def test_what_is_hidden_is_a_gap_and_the_ball_the_same_after_it(tmp_path, finder, seed):
     made = billiards(2, FRAMES, seed=seed)
-    tracks, quality, _ = track(made.film(tmp_path / "bar.mp4", bar=True), finder, balls=2)
+    tracks, quality, _ = track(made.record(tmp_path / "bar.mp4", bar=True), finder, balls=2)
     x = made.positions_px[tracks.frames][..., 0]
     hidden = (x > 110 + RADIUS_PX) & (x < 140 - RADIUS_PX)
     assert hidden.any()
@@ -143,7 +143,7 @@ def test_what_is_hidden_is_a_gap_and_the_ball_the_same_after_it(tmp_path, finder
 
 def test_light_that_flickers_is_no_ball(tmp_path, finder):
     made = billiards(2, 90, seed=2)
-    tracks = track(made.film(tmp_path / "flicker.mp4", flicker=0.08), finder).tracks
+    tracks = track(made.record(tmp_path / "flicker.mp4", flicker=0.08), finder).tracks
     assert tracks.balls == 2
     assert tracks.found.mean() > 0.93
     assert np.nanmax(distances(tracks, made.positions_px)) < RADIUS_PX
@@ -155,7 +155,9 @@ def test_a_ball_that_rests_for_most_of_the_clip_is_found_all_the_time(tmp_path, 
     way[:, 1] = (40.0, 90.0)
     way[90:, 1] += np.arange(30)[:, None] * (4.0, 1.0)
     way[:, 0, 0] = way[:, 0, 0].clip(150, None)  # out of its way
-    tracks = track(Billiards(way, made.colours).film(tmp_path / "rest.mp4"), finder, balls=2).tracks
+    tracks = track(
+        Billiards(way, made.colors).record(tmp_path / "rest.mp4"), finder, balls=2
+    ).tracks
     assert tracks.found.mean() > 0.97
     assert np.nanmax(distances(tracks, way)) < RADIUS_PX
 
@@ -164,7 +166,7 @@ def test_the_next_clip_keeps_the_order_of_the_balls(four, tmp_path, finder):
     palettes = four[1].palettes
     made = billiards(BALLS, 90, seed=8)
     tracks = track(
-        made.film(tmp_path / "next.mp4"), finder, balls=BALLS, like=palettes[::-1]
+        made.record(tmp_path / "next.mp4"), finder, balls=BALLS, like=palettes[::-1]
     ).tracks
     assert np.nanmax(distances(tracks, made.positions_px[:, ::-1])) < RADIUS_PX
 
@@ -172,7 +174,7 @@ def test_the_next_clip_keeps_the_order_of_the_balls(four, tmp_path, finder):
 def test_in_a_crop_positions_are_those_of_the_whole_picture(tmp_path, finder):
     made = billiards(1, 90, seed=6)
     way = made.positions_px * 0.4 + (100, 60)
-    path = Billiards(way, made.colours).film(tmp_path / "crop.mp4")
+    path = Billiards(way, made.colors).record(tmp_path / "crop.mp4")
     tracks = track(path, finder, crop=SquareCrop(80, 20, 150)).tracks
     assert (tracks.width, tracks.height) == (WIDTH, HEIGHT)
     assert np.nanmax(distances(tracks, way)) < 1.5
@@ -186,14 +188,14 @@ def test_a_table_of_tracks_is_read_as_it_was_written(four, tmp_path, suffix):
     tracks.write(tmp_path / f"four{suffix}")
     again = Tracks.read(tmp_path / f"four{suffix}")
     assert again.clip == "four"
-    assert again.colours == tracks.colours
+    assert again.colors == tracks.colors
     for name in ("frames", "times_s", "positions_px", "radii_px", "confidences"):
         np.testing.assert_array_equal(getattr(again, name), getattr(tracks, name))
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".csv"])
 @pytest.mark.parametrize(
-    "content", [b"", b"not a table", b"# {\nclip\n", b"# {}\nclip,x\n1,2\n", NO_COLOURS]
+    "content", [b"", b"not a table", b"# {\nclip\n", b"# {}\nclip,x\n1,2\n", NO_COLORS]
 )
 def test_what_is_no_table_of_tracks_is_refused(tmp_path, content, suffix):
     (tmp_path / f"bad{suffix}").write_bytes(content)
@@ -218,16 +220,16 @@ def test_a_camera_that_moves_is_told(tmp_path, finder):
     pictures = [
         (np.asarray(made.picture(i)) // 2 + np.roll(checks, 3 * i, axis=1)) for i in range(60)
     ]
-    write_film(tmp_path / "pan.mp4", map(Image.fromarray, pictures), FRAME_RATE)
+    write_video(tmp_path / "pan.mp4", map(Image.fromarray, pictures), FRAME_RATE)
     with pytest.raises(FootageError, match="needs a fixed camera"):
         track(tmp_path / "pan.mp4", finder)
 
 
-def test_a_film_without_balls_or_with_too_few_frames_is_told(tmp_path, finder):
-    still = Billiards(np.tile([[[60.0, 60.0]]], (60, 1, 1)), COLOURS)
+def test_a_video_without_balls_or_with_too_few_frames_is_told(tmp_path, finder):
+    still = Billiards(np.tile([[[60.0, 60.0]]], (60, 1, 1)), COLORS)
     with pytest.raises(FootageError, match="none of them moves"):
-        track(still.film(tmp_path / "still.mp4"), finder)
-    short = billiards(1, 12, seed=1).film(tmp_path / "short.mp4")
+        track(still.record(tmp_path / "still.mp4"), finder)
+    short = billiards(1, 12, seed=1).record(tmp_path / "short.mp4")
     with pytest.raises(FootageError, match="has 12 different frames, expected at least 20"):
         track(short, finder)
 
@@ -235,7 +237,7 @@ def test_a_film_without_balls_or_with_too_few_frames_is_told(tmp_path, finder):
 def test_frames_that_the_file_repeats_are_left_out(tmp_path, finder):
     made = billiards(1, 60, seed=6)
     pictures = [made.picture(index // 3) for index in range(120)]
-    write_film(tmp_path / "repeats.mp4", pictures, FRAME_RATE)
+    write_video(tmp_path / "repeats.mp4", pictures, FRAME_RATE)
     tracks, quality, _ = track(tmp_path / "repeats.mp4", finder)
     assert quality.repeated == 80
     np.testing.assert_array_equal(tracks.frames, np.arange(0, 120, 3))
@@ -264,7 +266,7 @@ def test_memory_does_not_grow_with_the_length_of_a_clip(tmp_path):
                 np.empty(0, bool),
             )  # fmt: skip
 
-    path = billiards(1, 240, seed=1).film(tmp_path / "long.mp4")
+    path = billiards(1, 240, seed=1).record(tmp_path / "long.mp4")
     with pytest.raises(FootageError, match="0 round objects were found in 240 frames"):
         track(path, Blind())
     assert 4 <= alive[1] < 30

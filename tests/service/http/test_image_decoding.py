@@ -106,7 +106,7 @@ def test_an_animation_of_a_thousand_pictures_costs_no_more_than_one():
     assert time.perf_counter() - started < 1
 
 
-def test_sixteen_bits_of_colour_become_eight():
+def test_sixteen_bits_of_color_become_eight():
     pixels = noise(64).astype(np.uint16) * 257
     rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in pixels)
     header = struct.pack(">IIBBBBB", 64, 64, 16, 2, 0, 0, 0)

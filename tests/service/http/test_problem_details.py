@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from service.app import create_app
 from service.errors import (
     BodyTooSlowError,
-    FieldError,
+    InvalidField,
     InvalidValueError,
     ModelUnavailableError,
     NotReadyError,
@@ -94,7 +94,7 @@ def test_a_refusal_without_a_value_has_no_members_for_it():
 
 
 def test_several_mistakes_are_all_told_and_the_first_stands_outside():
-    error = InvalidValueError("two", [FieldError("a", 1, "b"), FieldError("c", 2, "d")])
+    error = InvalidValueError("two", [InvalidField("a", 1, "b"), InvalidField("c", 2, "d")])
     problem = strict(document(error))
     assert problem["errors"] == [
         {"field": "a", "value": 1, "expected": "b"},
@@ -159,7 +159,7 @@ FAILURES = {
     "teapot": HTTPException(418, "short", {"X-Tea": "yes"}),
     "failed": RuntimeError("secret"),
     "many": InvalidValueError(
-        "many", [FieldError(name, math.nan if name == "a" else 1, "z") for name in "abcde"]
+        "many", [InvalidField(name, math.nan if name == "a" else 1, "z") for name in "abcde"]
     ),
     "none": InvalidValueError.at("a", None, "z"),
 }

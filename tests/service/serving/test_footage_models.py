@@ -73,7 +73,7 @@ def test_steps_are_frames_of_the_camera_unless_the_request_says_otherwise(client
     assert any("trained on 25" in warning for warning in other["warnings"])
 
 
-def test_balls_have_the_colours_of_their_clips(client):
+def test_balls_have_the_colors_of_their_clips(client):
     assert [ball["color"] for ball in answer(client, model="arena")["objects"]] == COLORS
     stream = client.post("/predict/stream", json=body(model="arena", horizon=2))
     assert all(f'"color":"{color}"' in stream.text for color in COLORS)

@@ -10,7 +10,7 @@ import torch
 
 from rollcast.errors import FootageError
 from rollcast.tracking.tracks import Tracks
-from tests.rollcast.tracking.billiards import COLOURS, FRAME_RATE, HEIGHT, WIDTH, billiards
+from tests.rollcast.tracking.billiards import COLORS, FRAME_RATE, HEIGHT, WIDTH, billiards
 from training.cli.footage import setup_clips
 from training.data.clip_dataset import Clips, ClipStream, Place, load_clips
 from training.engine.loop import TrainerConfig
@@ -26,10 +26,10 @@ def write_tracks(path: Path, positions_px: np.ndarray) -> None:
     missing = np.isnan(positions_px[..., 0])
     radii = np.where(missing, np.nan, 9.0)
     times = np.arange(frames) / FRAME_RATE
-    colours = tuple("#{:02x}{:02x}{:02x}".format(*colour) for colour in COLOURS[:balls])
+    colors = tuple("#{:02x}{:02x}{:02x}".format(*color) for color in COLORS[:balls])
     numbers = np.arange(frames)
     scores = 1.0 - missing
-    Tracks(path.stem, WIDTH, HEIGHT, colours, numbers, times, positions_px, radii, scores).write(
+    Tracks(path.stem, WIDTH, HEIGHT, colors, numbers, times, positions_px, radii, scores).write(
         path
     )
 
@@ -51,7 +51,7 @@ def folder(tmp_path_factory) -> Path:
             for index in range(FRAMES):
                 made.picture(index).save(inside / "clip3" / f"{index:04}.png")
         else:
-            made.film(inside / f"clip{seed}.mp4")
+            made.record(inside / f"clip{seed}.mp4")
     splits = {"validation": ["clip2"], "test": ["clip3"]}
     (top / "setup.json").write_text(json.dumps({"crop": CROP, "splits": splits}))
     return top
@@ -120,8 +120,8 @@ def test_the_stream_resumes_anywhere_and_turns_frames_with_positions(folder):
             if not (6 < x < 122 and 6 < y < 122):
                 continue
             seen = frames[3, int(y), int(x)].float()
-            strange = COLOURS[1 - ball]
-            own = COLOURS[ball]
+            strange = COLORS[1 - ball]
+            own = COLORS[ball]
             assert (seen - torch.tensor(own)).norm() < (seen - torch.tensor(strange)).norm()
 
 
@@ -158,6 +158,6 @@ def test_what_lies_wrong_in_a_folder_is_named(tmp_path):
     write_tracks(tmp_path / "alone.parquet", billiards(2, FRAMES, 0).positions_px)
     with pytest.raises(FootageError, match=r"alone\.parquet has no clip beside it"):
         load_clips(tmp_path)
-    billiards(2, FRAMES - 1, 0).film(tmp_path / "alone.mp4")
+    billiards(2, FRAMES - 1, 0).record(tmp_path / "alone.mp4")
     with pytest.raises(FootageError, match=r"has 59 frames, its tracks in .* reach to frame 59"):
         load_clips(tmp_path)

@@ -28,7 +28,7 @@ def write_clip(folder: Path, name: str, seed: int, suffix: str = ".mp4") -> None
         for index in range(FRAMES):
             made.picture(index).save(folder / name / f"{index}.png")
     else:
-        made.film(folder / f"{name}.mp4").rename(folder / f"{name}{suffix}")
+        made.record(folder / f"{name}.mp4").rename(folder / f"{name}{suffix}")
 
 
 def all_clips(folder):

@@ -22,7 +22,7 @@ def test_every_rate_is_told_and_covers_half_a_second(monkeypatch):
     assert all(len(errors) == SHARD_SCENES for _, by in measured for errors in by.values())
     told = [
         (float(request.fields["frame_rate"]), int(request.fields["horizon"]))
-        for request in service.asked
+        for request in service.requests
     ]
     assert [rate for rate, _ in told] == [rate for rate in rates for _ in range(SHARD_SCENES)]
     for rate, horizon in told:

@@ -29,7 +29,7 @@ def filmed(tmp_path, monkeypatch) -> FootageSource:
 
 def test_clips_are_tracked_once_into_a_folder_that_training_reads(filmed, tmp_path):
     made = billiards(2, FRAMES, seed=1)
-    made.film(tmp_path / "clip.mp4")
+    made.record(tmp_path / "clip.mp4")
     (report,) = tracked(tmp_path, filmed)
     assert report.frames == FRAMES
     tracks = Tracks.read(filmed.folder / "clip.parquet")
@@ -42,7 +42,7 @@ def test_clips_are_tracked_once_into_a_folder_that_training_reads(filmed, tmp_pa
 
 
 def test_a_shot_is_the_part_of_a_clip_that_nobody_touches(filmed, tmp_path):
-    billiards(2, FRAMES, seed=1).film(tmp_path / "clip.mp4")
+    billiards(2, FRAMES, seed=1).record(tmp_path / "clip.mp4")
     tracked(tmp_path, filmed)
     clip = Shot(filmed, ball=1, first=10, last=49).clip()
     assert len(clip.frames) == len(clip.missed) == 40

@@ -90,7 +90,7 @@ def test_positions_are_pixels_of_the_frames_that_were_sent(client, side):
     np.testing.assert_allclose(ball["covariances"][0], np.eye(2) * scale**2, rtol=1e-6)
 
 
-def test_several_balls_are_ordered_by_colour(client):
+def test_several_balls_are_ordered_by_color(client):
     answer = client.post("/predict", json=body(num_objects=2)).json()
     assert [(ball["id"], ball["color"]) for ball in answer["objects"]] == [(0, "red"), (1, "green")]
     assert answer["model"]["name"] == "pair"
