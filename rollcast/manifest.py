@@ -31,7 +31,7 @@ STEP_FILE = "step.onnx"
 MANIFEST_FILE = "manifest.json"
 CARD_FILE = "MODEL_CARD.md"
 GOLDEN_FILE = "golden.npz"
-FAMILIARITY_FILE = "familiarity.npz"
+OOD_FILE = "ood.npz"
 """What the training frames look like (``rollcast.ood``); not every artefact has it."""
 DETECTOR_FILE, REFINER_FILE = "detector.onnx", "refiner.onnx"
 """Of networks for any number of balls: whole frames to candidates, and patches around them."""
@@ -154,7 +154,7 @@ class Parity(_Part):
     tolerance: dict[KnownOutput, float]
 
 
-class Unfamiliar(_Part):
+class OodThreshold(_Part):
     """When frames look unlike those of the training (``rollcast.ood``)."""
 
     threshold: Positive
@@ -243,8 +243,8 @@ class Manifest(_Part):
     """Of models for any number of balls."""
     place_uncertainty: PlaceUncertainty | None = None
     """Of models that predict covariances, for a fixed number of balls."""
-    unfamiliar: Unfamiliar | None = None
-    """None without FAMILIARITY_FILE: such a model cannot tell."""
+    ood: OodThreshold | None = None
+    """None without OOD_FILE: such a model cannot tell."""
     files: dict[str, Sha256]
     licence: str
 
@@ -270,14 +270,14 @@ class Manifest(_Part):
         if (self.kinematic is None) != (self.max_objects is None):
             raise ValueError("kinematic belongs to models with max_objects")
         files = set(HASHED_FILES if self.max_objects is None else BALL_FILES)
-        if set(self.files) - {PERCEPTION_FILE, FAMILIARITY_FILE} != files:
+        if set(self.files) - {PERCEPTION_FILE, OOD_FILE} != files:
             raise ValueError(f"files are {sorted(self.files)}, expected {sorted(files)}")
         if (self.setup is not None) != ("footage" in self.scenarios):
             raise ValueError(f"setup belongs to footage, the scenarios are {self.scenarios}")
         if len(self.colors) != self.objects:
             raise ValueError(f"setup has {len(self.colors)} colors for {self.objects} objects")
-        if (self.unfamiliar is None) == (FAMILIARITY_FILE in self.files):
-            raise ValueError(f"{FAMILIARITY_FILE} and unfamiliar belong together")
+        if (self.ood is None) == (OOD_FILE in self.files):
+            raise ValueError(f"{OOD_FILE} and ood belong together")
         if set(self.golden_tolerance) != wanted:
             raise ValueError(f"golden_tolerance names {sorted(self.golden_tolerance)}")
         return self

@@ -67,7 +67,7 @@ def frame_stats(frames: UInt8[np.ndarray, "K 128 128 3"]) -> FrameStats:
 
 
 @dataclass(frozen=True)
-class Familiarity:
+class OodDetector:
     """Statistics of training frames: a Gaussian for every kind of scene."""
 
     thumbnail: Float32[np.ndarray, "kinds 192"]
@@ -90,7 +90,7 @@ class Familiarity:
         return np.sqrt(np.mean(whitened.astype(np.float64) ** 2, axis=-1))
 
     @classmethod
-    def read(cls, path: Path) -> "Familiarity":
+    def read(cls, path: Path) -> "OodDetector":
         """Read a file that :meth:`write` has written."""
         with np.load(path) as file:
             return cls(**{name: file[name] for name in file.files})

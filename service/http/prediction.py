@@ -41,7 +41,13 @@ from service.inference.scheduler import DecodedRequest, Decoding
 from service.inference.step_times import StepTimes, frame_spacing
 from service.observability.metrics import Metrics
 from service.observability.tracing import Stages
-from service.serving.forecast_warnings import doubts, left_frame, lost_ball, replaced, unfamiliar
+from service.serving.forecast_warnings import (
+    doubts,
+    left_frame,
+    lost_ball,
+    out_of_distribution,
+    replaced,
+)
 from service.serving.registry import ModelQuery, Registry
 
 LONGEST_ROLLOUT = 4 * MAX_HORIZON
@@ -156,7 +162,7 @@ class _Forecast(ABC):
         frames = opened.decode()
         seen = frame_stats(frames)
         self._limits = doubts(predictor, self._horizon, self._rate, seen)
-        unlike = unfamiliar(predictor, seen)
+        unlike = out_of_distribution(predictor, seen)
         self._doubts += unlike
         if unlike and (other := self._replacement()) is not None:
             return self._decoded_anew(other)
@@ -186,10 +192,10 @@ class _Forecast(ABC):
         return times
 
     def _replacement(self, reasons: Iterable[str] = ()) -> Predictor | None:
-        """Replace a choice of "auto" by the model for unfamiliar frames, if one is served."""
+        """Replace a choice of "auto" by the model for OOD frames, if one is served."""
         if self.request.model != AUTO_MODEL or self.manifest.random_appearances:
             return None
-        other = self._registry.for_unfamiliar_frames(self.manifest)
+        other = self._registry.for_ood_frames(self.manifest)
         if other is not None:
             self._doubts += [*reasons, replaced(self.manifest, other.manifest)]
             self.manifest = other.manifest
@@ -255,7 +261,7 @@ class _Forecast(ABC):
         """Take the next step of the forecast."""
 
     def _if_lost(self, outputs: Outputs) -> Decoding | None:
-        """Warn of balls that were not found; let the model for unfamiliar frames look for them."""
+        """Warn of balls that were not found; let the model for OOD frames look for them."""
         known = self.manifest.place_uncertainty
         if known is None:
             return None

@@ -36,7 +36,7 @@ from rollcast.manifest import (
     STEP_FILE,
     Manifest,
 )
-from rollcast.ood import Familiarity
+from rollcast.ood import OodDetector
 from rollcast.trajectory import OBSERVED_FRAMES
 from service.errors import InvalidValueError
 from service.inference.rollout import Arrays, Predictor, Step
@@ -85,7 +85,7 @@ class BallPredictor:
         self, folder: Path, manifest: Manifest, open_session: Callable[[Path], Session]
     ) -> None:
         self.manifest = manifest
-        self.familiarity: Familiarity | None = None
+        self.ood_detector: OodDetector | None = None
         self._detector = open_session(folder / DETECTOR_FILE)
         self._refiner = open_session(folder / REFINER_FILE)
         self._encoder = open_session(folder / ENCODER_FILE)
@@ -188,7 +188,7 @@ class BallRollout(Predictor):
 
     def __init__(self, model: BallPredictor, objects: int) -> None:
         self.manifest = model.manifest
-        self.familiarity = model.familiarity
+        self.ood_detector = model.ood_detector
         self._model = model
         self._objects = objects
 

@@ -12,14 +12,14 @@ from loky import cpu_count
 
 from rollcast.manifest import (
     ENCODER_FILE,
-    FAMILIARITY_FILE,
     FRAMES_INPUT,
     NEXT_PREFIX,
+    OOD_FILE,
     PERCEPTION_FILE,
     STEP_FILE,
     Manifest,
 )
-from rollcast.ood import Familiarity
+from rollcast.ood import OodDetector
 from rollcast.outputs import OutputName
 from rollcast.perception_io import run_perception
 from rollcast.rollout import Arrays, Step
@@ -90,8 +90,8 @@ class OnnxPredictor:
 
     def __init__(self, folder: Path, manifest: Manifest, provider: str = CPU_PROVIDER) -> None:
         self.manifest = manifest
-        known = manifest.unfamiliar is not None
-        self.familiarity = Familiarity.read(folder / FAMILIARITY_FILE) if known else None
+        known = manifest.ood is not None
+        self.ood_detector = OodDetector.read(folder / OOD_FILE) if known else None
         path, digest = folder / PERCEPTION_FILE, manifest.files.get(PERCEPTION_FILE)
         self._perception = None if digest is None else _shared_perception(path, digest, provider)
         # After perception it is small sums: optimising takes half the load and makes none faster.

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS, CovarianceSource, Manifest
-from rollcast.ood import Familiarity
+from rollcast.ood import OodDetector
 from rollcast.outputs import STEP_OUTPUTS, OutputName, Units, rescaled
 from rollcast.rollout import Arrays, Step
 from service.errors import DivergedError
@@ -26,7 +26,7 @@ class Predictor(Protocol):
     """A network that can be rolled out. ``service.inference.onnx_runtime`` has the real one."""
 
     manifest: Manifest
-    familiarity: Familiarity | None
+    ood_detector: OodDetector | None
     """What its training frames look like; None when it cannot tell."""
 
     def encode(

@@ -23,7 +23,7 @@ def doubts(
 
 
 def replaced(chosen: Manifest, used: Manifest) -> str:
-    """Return the warning that a model for unfamiliar frames has replaced the usual choice."""
+    """Return the warning that the model for OOD frames has replaced the usual choice."""
     return (
         f"{used.label} forecasts in place of {chosen.label}: it was trained on frames of random "
         "appearance. Name a model to use another one."
@@ -98,12 +98,12 @@ def _of_stillness(seen: FrameStats) -> list[str]:
     ]
 
 
-def unfamiliar(predictor: Predictor, seen: FrameStats) -> list[str]:
+def out_of_distribution(predictor: Predictor, seen: FrameStats) -> list[str]:
     """Return the warning of frames that are out of distribution for a model, if they are."""
-    known, familiarity = predictor.manifest.unfamiliar, predictor.familiarity
-    if known is None or familiarity is None:
+    known, ood_detector = predictor.manifest.ood, predictor.ood_detector
+    if known is None or ood_detector is None:
         return []
-    score = familiarity.score(seen)
+    score = ood_detector.score(seen)
     if score <= known.threshold:
         return []
     percent = 100 * known.false_alarm_rate

@@ -198,7 +198,7 @@ class Registry:
             f"{query.scenario or 'unknown'} {kind}; served are {self._labels()}",
         )
 
-    def for_unfamiliar_frames(self, wanted: Manifest) -> Predictor | None:
+    def for_ood_frames(self, wanted: Manifest) -> Predictor | None:
         """Return the model that replaces the choice of "auto" for out-of-distribution frames.
 
         It was trained on frames of random appearance and forecasts as many balls of the same

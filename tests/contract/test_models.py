@@ -107,12 +107,12 @@ def test_a_manifest_tells_the_error_of_every_scenario(predictor):
     )
 
 
-def test_golden_frames_look_familiar_and_their_negatives_do_not(predictor, frames):
-    known, familiarity = predictor.manifest.unfamiliar, predictor.familiarity
+def test_golden_frames_are_in_distribution_and_their_negatives_are_not(predictor, frames):
+    known, ood_detector = predictor.manifest.ood, predictor.ood_detector
     if known is None:
-        assert familiarity is None
+        assert ood_detector is None
         return
     assert known.false_alarm_rate <= 0.02
     for seen in frames:
-        assert familiarity.score(frame_stats(seen)) <= known.threshold
-        assert familiarity.score(frame_stats(255 - seen)) > known.threshold
+        assert ood_detector.score(frame_stats(seen)) <= known.threshold
+        assert ood_detector.score(frame_stats(255 - seen)) > known.threshold

@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from rollcast.manifest import (
-    FAMILIARITY_FILE,
     HASHED_FILES,
     MANIFEST_FILE,
+    OOD_FILE,
     PERCEPTION_FILE,
     Manifest,
 )
@@ -153,7 +153,7 @@ def test_a_manifest_is_readable_line_by_line(tmp_path):
 
 ROW = FIELDS["metrics"][0]
 KNOWN = {"threshold": 0.5, "false_alarm_rate": 0.02, "test_windows": 9}
-FAMILIAR = {"files": dict.fromkeys((FAMILIARITY_FILE, *HASHED_FILES), 64 * "a")}
+WITH_OOD = {"files": dict.fromkeys((OOD_FILE, *HASHED_FILES), 64 * "a")}
 ALONE = {
     "objects": 1,
     "outputs": [{"name": "positions", "shape": [1, 2], "unit": "px"}],
@@ -173,8 +173,8 @@ SWAPPED = {"name": "final_positions", "shape": [2, 2], "unit": "px"}
         {"validation_error_px": 0},
         {"version": 1},
         {"metrics": [ROW | {"horizon": 1, "sequences": 1}]},
-        FAMILIAR | {"unfamiliar": KNOWN | {"false_alarm_rate": 0, "test_windows": 1}},
-        FAMILIAR | {"unfamiliar": KNOWN | {"false_alarm_rate": 1}},
+        WITH_OOD | {"ood": KNOWN | {"false_alarm_rate": 0, "test_windows": 1}},
+        WITH_OOD | {"ood": KNOWN | {"false_alarm_rate": 1}},
     ],
 )
 def test_what_lies_on_a_limit_is_accepted(change):
@@ -192,11 +192,11 @@ def test_what_lies_on_a_limit_is_accepted(change):
         ({"metrics": [ROW | {"sequences": 0}]}, "sequences"),
         ({"metrics": [ROW | {"position_error_px": float("nan")}]}, "finite"),
         ({"metrics": [ROW | {"colour": "red"}]}, "colour"),
-        (FAMILIAR | {"unfamiliar": KNOWN | {"false_alarm_rate": -0.1}}, "false_alarm_rate"),
-        (FAMILIAR | {"unfamiliar": KNOWN | {"false_alarm_rate": 1.1}}, "false_alarm_rate"),
-        (FAMILIAR | {"unfamiliar": KNOWN | {"test_windows": 0}}, "test_windows"),
-        (FAMILIAR, "belong together"),
-        ({"unfamiliar": KNOWN}, "belong together"),
+        (WITH_OOD | {"ood": KNOWN | {"false_alarm_rate": -0.1}}, "false_alarm_rate"),
+        (WITH_OOD | {"ood": KNOWN | {"false_alarm_rate": 1.1}}, "false_alarm_rate"),
+        (WITH_OOD | {"ood": KNOWN | {"test_windows": 0}}, "test_windows"),
+        (WITH_OOD, "belong together"),
+        ({"ood": KNOWN}, "belong together"),
         ({"state": []}, "state"),
         ({"state": [{"name": "", "shape": [1]}]}, "state"),
         ({"outputs": []}, "at least 1 item"),

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rollcast.ood import MOVED_LEVELS, Familiarity, FrameStats, frame_stats, summed_up
+from rollcast.ood import MOVED_LEVELS, FrameStats, OodDetector, frame_stats, summed_up
 
 GREY = np.full((4, 128, 128, 3), 100, np.uint8)
 
@@ -57,12 +57,12 @@ def test_the_texture_knows_neither_turns_nor_mirrors_beyond_its_fineness(number)
 
 
 @pytest.fixture
-def familiarity() -> Familiarity:
+def ood_detector() -> OodDetector:
     """Two kinds: the thumbnails' first colour about 0.2 and 0.6; every number has variance 1."""
     generator = np.random.default_rng(0)
     components = np.linalg.qr(generator.normal(size=(192, 3)))[0].T
     thumbnails = np.stack([np.full(192, level) for level in (0.2, 0.6)])
-    return Familiarity(
+    return OodDetector(
         thumbnails.astype(np.float32),
         np.stack([components] * 2).astype(np.float32),
         np.zeros((2, 11), np.float32),
@@ -76,28 +76,28 @@ def some_look(level: float) -> FrameStats:
     return FrameStats(thumbnail.astype(np.float32), np.zeros(7, np.float32), 10)
 
 
-def test_the_score_is_the_distance_from_the_nearest_kind(familiarity):
+def test_the_score_is_the_distance_from_the_nearest_kind(ood_detector):
     for level in (0.2, 0.6):
         seen = some_look(level)
         parts = [
             summed_up(seen, *basis)
-            for basis in zip(familiarity.thumbnail, familiarity.components, strict=True)
+            for basis in zip(ood_detector.thumbnail, ood_detector.components, strict=True)
         ]
         # Whitened by 1 and by 2: the root of the mean square of the numbers, and twice that.
         expected = [np.sqrt(np.mean(parts[0] ** 2)), 2 * np.sqrt(np.mean(parts[1] ** 2))]
-        np.testing.assert_allclose(familiarity.scores(seen), expected, rtol=1e-5)
-        assert familiarity.score(seen) == min(familiarity.scores(seen))
+        np.testing.assert_allclose(ood_detector.scores(seen), expected, rtol=1e-5)
+        assert ood_detector.score(seen) == min(ood_detector.scores(seen))
 
 
-def test_what_the_components_leave_is_a_number_of_its_own(familiarity):
-    basis = familiarity.thumbnail[0], familiarity.components[0]
+def test_what_the_components_leave_is_a_number_of_its_own(ood_detector):
+    basis = ood_detector.thumbnail[0], ood_detector.components[0]
     along = FrameStats(basis[0] + 0.3 * basis[1][1], np.zeros(7, np.float32), 0)
     np.testing.assert_allclose(summed_up(along, *basis)[:3], [0, 0.3, 0], atol=1e-6)
     assert summed_up(along, *basis)[3] == pytest.approx(np.log(1e-3), abs=0.01)
 
 
-def test_it_is_written_and_read(familiarity, tmp_path):
-    path = tmp_path / "familiarity.npz"
-    familiarity.write(path)
-    again = Familiarity.read(path)
-    assert again.score(some_look(0.3)) == pytest.approx(familiarity.score(some_look(0.3)))
+def test_it_is_written_and_read(ood_detector, tmp_path):
+    path = tmp_path / "ood.npz"
+    ood_detector.write(path)
+    again = OodDetector.read(path)
+    assert again.score(some_look(0.3)) == pytest.approx(ood_detector.score(some_look(0.3)))

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from rollcast.manifest import HASHED_FILES, Manifest
-from rollcast.ood import Familiarity
+from rollcast.ood import OodDetector
 from rollcast.outputs import SPECS
 from rollcast.rollout import Arrays, Step
 from service.http.image_decoding import OpenedFrames
@@ -133,10 +133,10 @@ class DotPredictor:
     """
 
     def __init__(
-        self, manifest: Manifest, familiarity: Familiarity | None = None, sigma: float = 1
+        self, manifest: Manifest, ood_detector: OodDetector | None = None, sigma: float = 1
     ) -> None:
         self.manifest = manifest
-        self.familiarity = familiarity
+        self.ood_detector = ood_detector
         self.sigma = sigma
 
     def encode(self, frames: np.ndarray, *, two_cores: bool = False) -> Step:

@@ -38,7 +38,7 @@ from training.export.any_ball import BallGraphs
 from training.export.export import export_run, with_covariance
 from training.export.footage import export_setup
 from training.export.load import load_exported
-from training.export.ood_fit import FAMILIAR_SCENES, familiarise, fit_place_uncertainties
+from training.export.ood_fit import OOD_SCENES, fit_ood_detectors, fit_place_uncertainties
 from training.export.static_quantisation import NotWorthItError
 from training.export.static_quantisation import quantise as quantise_model
 from training.networks.fieldnet import FieldNet
@@ -261,7 +261,7 @@ def export(
     ood_scenes: Annotated[
         int,
         typer.Option(min=0, help="scenes to fit the out-of-distribution score to; 0 for none"),
-    ] = FAMILIAR_SCENES,
+    ] = OOD_SCENES,
     workers: Workers = CORES,
 ) -> None:
     """Export a recipe's best networks and validate the exports."""
@@ -282,12 +282,12 @@ def export(
 
 
 def complete(
-    manifests: Sequence[Manifest], models: Path, workers: int, ood_scenes: int = FAMILIAR_SCENES
+    manifests: Sequence[Manifest], models: Path, workers: int, ood_scenes: int = OOD_SCENES
 ) -> None:
     """Fit the out-of-distribution score of exports, and print how good they are."""
     folders = [models / manifest.name / str(manifest.version) for manifest in manifests]
     if ood_scenes:
-        familiarise(folders, ood_scenes, workers)
+        fit_ood_detectors(folders, ood_scenes, workers)
         fit_place_uncertainties(folders, ood_scenes, workers)
     _show(manifests)
 
@@ -322,7 +322,7 @@ def fit_ood(
     ] = None,
     scenes: Annotated[
         int, typer.Option(min=1, help="scenes per scenario for the fit")
-    ] = FAMILIAR_SCENES,
+    ] = OOD_SCENES,
     workers: Workers = CORES,
 ) -> None:
     """Write into exported models how to tell frames that they do not know."""
@@ -331,7 +331,7 @@ def fit_ood(
         for path in MODELS.glob(f"*/*/{MANIFEST_FILE}")
         if Manifest.read(path).max_objects is None
     ]
-    for manifest in familiarise(folders, scenes, workers):
-        typer.echo(f"{manifest.label}: {manifest.unfamiliar}")
+    for manifest in fit_ood_detectors(folders, scenes, workers):
+        typer.echo(f"{manifest.label}: {manifest.ood}")
     for manifest in fit_place_uncertainties(folders, scenes, workers):
         typer.echo(f"{manifest.label}: {manifest.place_uncertainty}")

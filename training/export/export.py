@@ -15,9 +15,9 @@ from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import (
     BALL_FILES,
     CARD_FILE,
-    FAMILIARITY_FILE,
     GOLDEN_FILE,
     MANIFEST_FILE,
+    OOD_FILE,
     PERCEPTION_FILE,
     CovarianceSource,
     Manifest,
@@ -100,7 +100,7 @@ def export(
     """
     folder.mkdir(parents=True, exist_ok=True)
     # That of an earlier export in this place; training.export.ood_fit writes it anew.
-    (folder / FAMILIARITY_FILE).unlink(missing_ok=True)
+    (folder / OOD_FILE).unlink(missing_ok=True)
     task = trained.recipe.task
     predictor = trained.predictor.cpu().eval()
     round_weights(m for m in predictor.modules() if isinstance(m, Perception | AttendedTransition))
@@ -322,6 +322,6 @@ def _served_covariances(made: Forecasts, covariance: CovarianceSource) -> np.nda
 
 def hashes(folder: Path) -> dict[str, str]:
     """Sha256 of an artefact's files, by name."""
-    possible = (PERCEPTION_FILE, FAMILIARITY_FILE, *BALL_FILES)
+    possible = (PERCEPTION_FILE, OOD_FILE, *BALL_FILES)
     there = [name for name in possible if (folder / name).exists()]
     return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in there}

@@ -13,7 +13,7 @@ from training.data.clip_dataset import EVERY, Clips
 from training.data.splits import Split
 from training.evaluation.evaluate import EvaluationSet
 from training.export.export import export
-from training.export.ood_fit import familiarise_clips
+from training.export.ood_fit import fit_clip_ood_detector
 from training.export.spec import FootageSpec, Trained
 from training.recipes.recipe import Recipe
 from training.recipes.setup import T_GEN
@@ -55,7 +55,7 @@ def export_setup(
     to = models / name / str(version)
     sets = {split: [evaluation_set(clips[split], split)] for split in ("validation", "test")}
     export(trained, to, version, sets["validation"], sets["test"])
-    return familiarise_clips(to, clips)
+    return fit_clip_ood_detector(to, clips)
 
 
 def evaluation_set(clips: Clips, split: Split) -> EvaluationSet:

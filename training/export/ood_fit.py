@@ -12,13 +12,13 @@ import torch
 from jaxtyping import Float
 
 from rollcast.manifest import (
-    FAMILIARITY_FILE,
     MANIFEST_FILE,
+    OOD_FILE,
     Manifest,
+    OodThreshold,
     PlaceUncertainty,
-    Unfamiliar,
 )
-from rollcast.ood import Familiarity, FrameStats, frame_stats, summed_up
+from rollcast.ood import FrameStats, OodDetector, frame_stats, summed_up
 from rollcast.scene import SMALL_RADIUS_M, Scenario
 from training.data.clip_dataset import Clips
 from training.data.shards import Source, load_recordings, simulate_split
@@ -35,7 +35,7 @@ LATEST_START = 140
 WINDOWS_A_SCENE = 24
 LOST_ALARMS = 0.02
 """Share of the validation windows in which a ball counts as lost: a wrong alarm costs little, since
-the model for unfamiliar frames finds these balls, too."""
+the model for out-of-distribution frames finds these balls, too."""
 FOUND_PX = 0.5
 """Standard deviation of a place up to which a ball is found, whatever is usual."""
 PLACED_A_SCENE = 4
@@ -45,13 +45,13 @@ LEAST_VARIANCE = 1e-6
 """Relative to the largest: of few windows some numbers do not vary at all."""
 FALSE_ALARMS = 0.005
 """Share of the validation windows that the threshold leaves above it."""
-FAMILIAR_SCENES = 100
+OOD_SCENES = 100
 """Of the training split, and as many of the validation split, that suffice."""
 TEST_SCENES = 500
 SEED = 120
 
 
-def familiarise(folders: Sequence[Path], scenes: int, workers: int) -> list[Manifest]:
+def fit_ood_detectors(folders: Sequence[Path], scenes: int, workers: int) -> list[Manifest]:
     """Fit, and write into artefacts, what the frames look like that they were trained on.
 
     Artefacts for the same scenarios and number of balls get the same file.
@@ -70,15 +70,15 @@ def familiarise(folders: Sequence[Path], scenes: int, workers: int) -> list[Mani
     written: list[Manifest] = []
     for kind, alike in sorted(kinds.items()):
         sources = _sources(*kind)
-        familiarity = fit(
+        ood_detector = fit(
             [source_frame_stats(source, "training", scenes, workers) for source in sources]
         )
         known = [
             one for s in sources for one in source_frame_stats(s, "validation", scenes, workers)
         ]
         fresh = [one for s in sources for one in fixed_looks(s, workers)]
-        unfamiliar = calibrate_threshold(familiarity, known, fresh)
-        written += [keep(familiarity, unfamiliar, folder) for folder in alike]
+        ood = calibrate_threshold(ood_detector, known, fresh)
+        written += [keep(ood_detector, ood, folder) for folder in alike]
     return written
 
 
@@ -91,20 +91,20 @@ def _sources(scenarios: Sequence[Scenario], objects: int) -> list[Source]:
 
 
 def calibrate_threshold(
-    familiarity: Familiarity, known: Sequence[FrameStats], fresh: Sequence[FrameStats]
-) -> Unfamiliar:
+    ood_detector: OodDetector, known: Sequence[FrameStats], fresh: Sequence[FrameStats]
+) -> OodThreshold:
     """Choose the threshold on known frames; count how often fresh ones exceed it."""
-    scores = [familiarity.score(one) for one in known]
+    scores = [ood_detector.score(one) for one in known]
     threshold = round(float(np.quantile(scores, 1 - FALSE_ALARMS)), 3)
-    alarms = [familiarity.score(one) > threshold for one in fresh]
-    return Unfamiliar(
+    alarms = [ood_detector.score(one) > threshold for one in fresh]
+    return OodThreshold(
         threshold=threshold,
         false_alarm_rate=round(float(np.mean(alarms)), 4),
         test_windows=len(fresh),
     )
 
 
-def familiarise_clips(folder: Path, clips: Mapping[Split, Clips]) -> Manifest:
+def fit_clip_ood_detector(folder: Path, clips: Mapping[Split, Clips]) -> Manifest:
     """Fit, and write into an artefact, what the clips look like that it was trained on.
 
     Windows begin every few frames of the training clips, under any of the square's symmetries; the
@@ -117,24 +117,24 @@ def familiarise_clips(folder: Path, clips: Mapping[Split, Clips]) -> Manifest:
     return keep(fitted, calibrate_threshold(fitted, known, fresh), folder)
 
 
-def keep(familiarity: Familiarity, unfamiliar: Unfamiliar, folder: Path) -> Manifest:
+def keep(ood_detector: OodDetector, ood: OodThreshold, folder: Path) -> Manifest:
     """Write both into an artefact."""
-    familiarity.write(folder / FAMILIARITY_FILE)
+    ood_detector.write(folder / OOD_FILE)
     manifest = Manifest.read(folder / MANIFEST_FILE)
-    changes = {"unfamiliar": unfamiliar, "files": hashes(folder)}
+    changes = {"ood": ood, "files": hashes(folder)}
     changed = Manifest.model_validate(dict(manifest) | changes)
     changed.write(folder / MANIFEST_FILE)
     return changed
 
 
-def fit(by_source: Sequence[Sequence[FrameStats]]) -> Familiarity:
+def fit(by_source: Sequence[Sequence[FrameStats]]) -> OodDetector:
     """Fit a Gaussian to every source's frame statistics."""
     fitted = [_fit(seen) for seen in by_source]
-    return Familiarity(*(np.stack(parts).astype(np.float32) for parts in zip(*fitted, strict=True)))
+    return OodDetector(*(np.stack(parts).astype(np.float32) for parts in zip(*fitted, strict=True)))
 
 
 def _fit(seen: Sequence[FrameStats]) -> tuple[np.ndarray, ...]:
-    """Return the fields of a Familiarity for one source."""
+    """Return the fields of an OodDetector for one source."""
     thumbnails = np.stack([one.thumbnail for one in seen])
     thumbnail = thumbnails.mean(axis=0)
     components = np.linalg.svd(thumbnails - thumbnail, full_matrices=False)[2][:COMPONENTS]

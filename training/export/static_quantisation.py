@@ -17,10 +17,10 @@ import onnx
 from rollcast.manifest import (
     CARD_FILE,
     ENCODER_FILE,
-    FAMILIARITY_FILE,
     FRAMES_INPUT,
     GOLDEN_FILE,
     MANIFEST_FILE,
+    OOD_FILE,
     PERCEPTION_FILE,
     STEP_FILE,
     Manifest,
@@ -74,7 +74,7 @@ def quantise(source: Path, version: int, test_scenes: int, workers: int) -> Mani
         write_quantised(
             source / PERCEPTION_FILE, folder / PERCEPTION_FILE, _calibration_frames(validation)
         )
-        known = () if float32.unfamiliar is None else (FAMILIARITY_FILE,)
+        known = () if float32.ood is None else (OOD_FILE,)
         for file in (ENCODER_FILE, STEP_FILE, *known):
             shutil.copy(source / file, folder / file)
         slow, fast = Graphs(source), Graphs(folder)

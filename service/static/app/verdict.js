@@ -2,20 +2,20 @@
 
 /** Score from which on a ball counts as found. */
 const SURE = 0.5;
-/** How the service's warning about unfamiliar frames begins. */
-const UNFAMILIAR = "The frames look unlike";
+/** How the service's warning about out-of-distribution frames begins. */
+const OOD_WARNING = "The frames look unlike";
 
 /** How it begins about four frames that are the same. */
 const STILL = "Nothing moves in the four frames";
 
 /** Whether a forecast says that its frames are unlike those of the training. */
-export function isUnfamiliar({ done }) {
-  return (done?.warnings ?? []).some((warning) => warning.startsWith(UNFAMILIAR));
+export function isOutOfDistribution({ done }) {
+  return (done?.warnings ?? []).some((warning) => warning.startsWith(OOD_WARNING));
 }
 
 /** Whether the path of a ball is drawn in grey. */
 export function isDoubtful(forecast, index) {
-  return isUnfamiliar(forecast) || !isFound(forecast.done?.objects[index]);
+  return isOutOfDistribution(forecast) || !isFound(forecast.done?.objects[index]);
 }
 
 function isFound(ball) {
@@ -44,7 +44,7 @@ function sentenceOf(forecast) {
     const scores = lost.map(({ score }) => score.toFixed(2)).join(", ");
     return say(`${which} ${verb} not surely found (score ${scores}): the grey path may be wrong.`, true);
   }
-  if (isUnfamiliar(forecast)) {
+  if (isOutOfDistribution(forecast)) {
     return say("These frames look unlike the training data: the grey path may be far off.", true);
   }
   const doubted = done.objects.find(({ warnings }) => warnings?.length);

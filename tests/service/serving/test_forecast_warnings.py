@@ -5,17 +5,17 @@ import json
 import numpy as np
 import pytest
 
-from rollcast.ood import Familiarity, frame_stats
+from rollcast.ood import OodDetector, frame_stats
 from service.serving.registry import Model, Registry
 from tests.service import samples
 
 NUMBERS = 3 + 1 + 7
 
 
-def familiarity(frames: np.ndarray) -> Familiarity:
+def ood_detector(frames: np.ndarray) -> OodDetector:
     """One kind of scenes whose mean is what some frames look like."""
     components = np.eye(192, dtype=np.float32)[:3]
-    known = Familiarity(
+    known = OodDetector(
         frame_stats(frames).thumbnail[None],
         components[None],
         np.zeros((1, NUMBERS), np.float32),
@@ -23,17 +23,17 @@ def familiarity(frames: np.ndarray) -> Familiarity:
     )
     seen = frame_stats(frames)
     mean = np.concatenate([np.zeros(3), [np.log(1e-3)], seen.texture])
-    return Familiarity(known.thumbnail, known.components, mean[None], known.whitening)
+    return OodDetector(known.thumbnail, known.components, mean[None], known.whitening)
 
 
 @pytest.fixture
 def client(start):
     frames = np.stack([samples.dot(40 + 2 * index, 60 + index) for index in range(4)])
     described = samples.manifest(
-        unfamiliar={"threshold": 1.5, "false_alarm_rate": 0.006, "test_windows": 1500},
-        files=dict.fromkeys([*samples.HASHED_FILES, "familiarity.npz"], 64 * "0"),
+        ood={"threshold": 1.5, "false_alarm_rate": 0.006, "test_windows": 1500},
+        files=dict.fromkeys([*samples.HASHED_FILES, "ood.npz"], 64 * "0"),
     )
-    predictor = samples.DotPredictor(described, familiarity(frames))
+    predictor = samples.DotPredictor(described, ood_detector(frames))
     return start(lambda *_: Registry([Model("dot", 1, described, predictor)]))
 
 
@@ -43,7 +43,7 @@ def warnings(client, images):
     return answer.json()["warnings"]
 
 
-def test_familiar_frames_carry_no_warning(client):
+def test_frames_in_distribution_carry_no_warning(client):
     assert warnings(client, samples.moving_dot()) == []
 
 
@@ -68,18 +68,18 @@ def test_the_stream_says_the_same(client):
     assert whole[0] in client.post("/predict/stream", json=at_rest).text
 
 
-def test_auto_has_another_model_for_unfamiliar_frames_alone(start):
+def test_auto_has_another_model_for_ood_frames_alone(start):
     frames = np.stack([samples.dot(40 + 2 * index, 60 + index) for index in range(4)])
     fields = {
-        "unfamiliar": {"threshold": 1.5, "false_alarm_rate": 0.006, "test_windows": 1500},
-        "files": dict.fromkeys([*samples.HASHED_FILES, "familiarity.npz"], 64 * "0"),
+        "ood": {"threshold": 1.5, "false_alarm_rate": 0.006, "test_windows": 1500},
+        "files": dict.fromkeys([*samples.HASHED_FILES, "ood.npz"], 64 * "0"),
     }
     usual = samples.manifest(**fields)
     robust = samples.manifest(
         version=2, default=False, random_appearances=True, validation_error_px=9.0, **fields
     )
     models = [
-        Model("dot", one.version, one, samples.DotPredictor(one, familiarity(frames)))
+        Model("dot", one.version, one, samples.DotPredictor(one, ood_detector(frames)))
         for one in (usual, robust)
     ]
     client = start(lambda *_: Registry(models))

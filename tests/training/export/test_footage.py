@@ -70,7 +70,7 @@ def test_the_manifest_tells_of_the_set_up(models):
     assert manifest.training["clips"] == {"trai": FRAMES - 3 - 30 + 1}
     assert {row.scenario for row in manifest.metrics} == {"footage"}
     assert {row.horizon for row in manifest.metrics} == {1, 7, 15, 30}
-    assert manifest.unfamiliar is not None
+    assert manifest.ood is not None
     assert manifest.validation_error_px > 0
     with pytest.raises(ValueError, match="knows footage"):
         _ = manifest.simulated

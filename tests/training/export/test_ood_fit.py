@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from rollcast.manifest import FAMILIARITY_FILE, MANIFEST_FILE, PERCEPTION_FILE, Manifest
+from rollcast.manifest import MANIFEST_FILE, OOD_FILE, PERCEPTION_FILE, Manifest
 from rollcast.ood import frame_stats
 from tests.training.conftest import HEMISPHERE
 from tests.training.export.test_export import ROOT
@@ -34,24 +34,24 @@ def known(runs):
 
 
 @pytest.fixture(scope="module")
-def familiarity(known):
+def ood_detector(known):
     return fit([known[0]])
 
 
-def test_what_it_was_fitted_to_has_scores_about_one(familiarity, known):
-    squares = [familiarity.score(one) ** 2 for one in known[0]]
+def test_what_it_was_fitted_to_has_scores_about_one(ood_detector, known):
+    squares = [ood_detector.score(one) ** 2 for one in known[0]]
     # The mean square of whitened numbers is 1 by definition, but for the one of n that cov takes.
     assert np.mean(squares) == pytest.approx(1, rel=0.01)
 
 
-def test_the_threshold_leaves_the_wanted_share_above_it(familiarity, known):
-    calibrated = calibrate_threshold(familiarity, known[1], known[1])
+def test_the_threshold_leaves_the_wanted_share_above_it(ood_detector, known):
+    calibrated = calibrate_threshold(ood_detector, known[1], known[1])
     assert calibrated.false_alarm_rate == pytest.approx(FALSE_ALARMS, abs=1 / len(known[1]))
     assert calibrated.test_windows == len(known[1])
 
 
-def test_other_pictures_are_unfamiliar(familiarity, known, runs):
-    threshold = calibrate_threshold(familiarity, *known[::-1]).threshold
+def test_other_pictures_are_out_of_distribution(ood_detector, known, runs):
+    threshold = calibrate_threshold(ood_detector, *known[::-1]).threshold
     recordings = load_recordings(simulate_split(HEMISPHERE, "validation", SHARD_SCENES, 1))
     frames = WindowMaker(recordings, final_step=None).window(0, 80, 1).frames
     noise = np.random.default_rng(0).normal(0, 40, frames.shape)
@@ -63,20 +63,20 @@ def test_other_pictures_are_unfamiliar(familiarity, known, runs):
         "a moving camera": np.stack([np.roll(f, 6 * k, axis=1) for k, f in enumerate(frames)]),
         "nothing": np.zeros_like(frames),
     }
-    unfamiliar = {
-        name: familiarity.score(frame_stats(other)) > threshold for name, other in others.items()
+    found = {
+        name: ood_detector.score(frame_stats(other)) > threshold for name, other in others.items()
     }
-    assert unfamiliar == {name: name != "itself" for name in others}
+    assert found == {name: name != "itself" for name in others}
 
 
-def test_an_artefact_keeps_it(familiarity, known, tmp_path):
+def test_an_artefact_keeps_it(ood_detector, known, tmp_path):
     folder = shutil.copytree(ROOT / "models" / "posnet" / "1", tmp_path / "posnet" / "1")
-    unfamiliar = calibrate_threshold(familiarity, known[0], known[1])
-    manifest = keep(familiarity, unfamiliar, folder)
+    ood = calibrate_threshold(ood_detector, known[0], known[1])
+    manifest = keep(ood_detector, ood, folder)
     assert Manifest.read(folder / MANIFEST_FILE) == manifest
-    assert manifest.unfamiliar == unfamiliar
+    assert manifest.ood == ood
     assert manifest.files == hashes(folder)
-    assert {PERCEPTION_FILE, FAMILIARITY_FILE} <= set(manifest.files)
+    assert {PERCEPTION_FILE, OOD_FILE} <= set(manifest.files)
 
 
 def test_balls_are_lost_where_their_place_is_less_certain_than_in_known_scenes(
