@@ -1,4 +1,4 @@
-"""How a window looks apart from the trajectory: balls, ground, light, clutter, camera, sensor.
+"""Appearance of a window apart from the trajectory: balls, ground, light, clutter, camera, sensor.
 
 A :class:`Appearance` stands beside a :class:`rollcast.scene.Scene`: the scene says what moves and
 how, the appearance what it looks like. Trajectories are expensive and reused, appearances are cheap
@@ -40,7 +40,7 @@ _WOOD: tuple[RGB, ...] = ((0.55, 0.38, 0.22), (0.75, 0.60, 0.42), (0.33, 0.20, 0
 
 
 @dataclass(frozen=True)
-class BallLook:
+class BallAppearance:
     """Surface of one ball."""
 
     pattern: BallPattern
@@ -55,7 +55,7 @@ class BallLook:
 
 
 @dataclass(frozen=True)
-class GroundLook:
+class GroundAppearance:
     """Colours of the ground, before light falls on it."""
 
     pattern: GroundPattern
@@ -159,12 +159,12 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Appearance:
-    """The look of one window."""
+    """The appearance of one window."""
 
-    ball: BallLook
-    """Look of the prompted ball."""
-    ground: GroundLook
-    surroundings: GroundLook
+    ball: BallAppearance
+    """Appearance of the prompted ball."""
+    ground: GroundAppearance
+    surroundings: GroundAppearance
     """Beyond the rim or table."""
     lamp: Lamp
     clutter: tuple[Clutter, ...]
@@ -173,7 +173,7 @@ class Appearance:
 
 
 def draw_appearance(generator: np.random.Generator, *, strength: float = 1.0) -> Appearance:
-    """Draw the look of one window.
+    """Draw the appearance of one window.
 
     Parameters
     ----------
@@ -210,18 +210,26 @@ def draw_color(generator: np.random.Generator) -> RGB:
     return red, green, blue
 
 
-def mean_color(look: GroundLook) -> RGB:
+def mean_color(appearance: GroundAppearance) -> RGB:
     """Return the mean colour of a ground."""
-    one = np.asarray(look.colors[0])
-    if look.pattern in ("checkers", "stripes", "gradient", "marble", "shapes", "rings", "wood"):
-        one = (one + np.asarray(look.colors[1])) / 2
+    one = np.asarray(appearance.colors[0])
+    if appearance.pattern in (
+        "checkers",
+        "stripes",
+        "gradient",
+        "marble",
+        "shapes",
+        "rings",
+        "wood",
+    ):
+        one = (one + np.asarray(appearance.colors[1])) / 2
     red, green, blue = one.tolist()
     return red, green, blue
 
 
 def draw_ball(
     generator: np.random.Generator, apart_from: RGB = (0.5, 0.5, 0.5), contrast: float = 0.18
-) -> BallLook:
+) -> BallAppearance:
     """Sample a ball whose colour differs from the given one, so that it is visible."""
     weights = np.array([5, 1.5, 1.5, 1.5, 1.5, 1.0, 0.8, 0.5, 1.0])
     pattern = BALL_PATTERNS[generator.choice(len(BALL_PATTERNS), p=weights / weights.sum())]
@@ -230,7 +238,7 @@ def draw_ball(
         if math.dist(color, apart_from) > contrast:
             break
         color = _draw_ball_color(generator)
-    return BallLook(
+    return BallAppearance(
         pattern,
         (color, _draw_ball_color(generator), (0.95, 0.95, 0.92)),
         gloss=float(generator.choice([0.0, generator.uniform(0, 1)])),
@@ -250,7 +258,7 @@ def _draw_ball_color(generator: np.random.Generator) -> RGB:
     return draw_color(generator)
 
 
-def draw_ground(generator: np.random.Generator) -> GroundLook:
+def draw_ground(generator: np.random.Generator) -> GroundAppearance:
     """Sample a ground or its surroundings."""
     weights = np.array([3, 2, 1.5, 1, 1.5, 1, 1, 1, 1.5, 1.5, 0.7, 0.7])
     pattern = GROUND_PATTERNS[generator.choice(len(GROUND_PATTERNS), p=weights / weights.sum())]
@@ -258,7 +266,7 @@ def draw_ground(generator: np.random.Generator) -> GroundLook:
     if generator.random() < 0.5:  # shades of one colour are commoner than a motley
         base = np.asarray(colors[0])
         colors[1:] = [_near(generator, base) for _ in range(2)]
-    return GroundLook(
+    return GroundAppearance(
         pattern,
         (colors[0], colors[1], colors[2]),
         scale=math.exp(generator.uniform(math.log(3), math.log(48))),

@@ -64,7 +64,7 @@ _Box = tuple[slice, slice]
 
 
 class Materials(Protocol):
-    """Another look of a scene whose shape and motion stay as they are."""
+    """Another appearance of a scene whose shape and motion stay as they are."""
 
     ground: Float[np.ndarray, "size size 3"]
     """The lit scene without balls, intensities 0..1, float32."""
@@ -139,7 +139,7 @@ class Renderer:
     def render_with(
         self, trajectory: Trajectory, materials: Materials
     ) -> UInt8[np.ndarray, "frames size size 3"]:
-        """Render every frame of a trajectory in another look."""
+        """Render every frame of a trajectory in another appearance."""
         states = zip(trajectory.positions_m, trajectory.orientations_xyzw, strict=True)
         return np.stack([_levels(self._frame_with(*state, materials)) for state in states])
 

@@ -29,7 +29,7 @@ class CloseApproach(BaseModel):
     first: int
     last: int
     evidence: float
-    """Log likelihood ratio of the assignment by colour, nats; small or negative is doubtful."""
+    """Log likelihood ratio of the assignment by colour, nats; small or negative is uncertain."""
 
 
 class Jump(BaseModel):
@@ -70,7 +70,7 @@ class Quality(BaseModel):
     jumps: list[Jump]
 
 
-DOUBTFUL = 5.0
+UNCERTAIN = 5.0
 """Nats below which an encounter is a suspected swap."""
 
 
@@ -80,7 +80,7 @@ def quality_of(tracks: Tracks, encounters: Sequence[CloseApproach], repeated: in
     Parameters
     ----------
     encounters
-        All of them, doubtful or not.
+        All of them, uncertain or not.
     repeated
         Number of frames that were left out.
     """
@@ -108,7 +108,7 @@ def quality_of(tracks: Tracks, encounters: Sequence[CloseApproach], repeated: in
         found=float(tracks.found.mean()),
         balls=of_balls,
         gaps=gaps,
-        suspected_swaps=[one for one in encounters if one.evidence < DOUBTFUL],
+        suspected_swaps=[one for one in encounters if one.evidence < UNCERTAIN],
         jumps=[jump for ball in range(tracks.balls) for jump in _jumps(tracks, ball)],
     )
 

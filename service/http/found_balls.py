@@ -17,7 +17,7 @@ from service.inference.rollout import Forecast
 
 SURE = 0.5
 """Score from which on a ball is taken to be there."""
-DOUBTFUL_RADII = 0.5
+UNCERTAIN_RADII = 0.5
 """Standard deviation of a ball's place, in its radii, from which on an answer warns."""
 
 
@@ -133,7 +133,7 @@ class RequestBalls:
         balls = self.found.balls
         spreads = np.exp(balls.log_sigmas[:, 0]) / balls.radii
         return [
-            _doubts(path[-1], score, spread)
+            _warnings(path[-1], score, spread)
             for path, score, spread in zip(
                 self.seen, balls.scores.tolist(), spreads.tolist(), strict=True
             )
@@ -164,14 +164,14 @@ def _points(
     return box.points(pixels), radii / (box.side / 2)
 
 
-def _doubts(ball: SeenBall, score: float, spread: float) -> list[str]:
+def _warnings(ball: SeenBall, score: float, spread: float) -> list[str]:
     where = f"({ball.x:.1f}, {ball.y:.1f})"
     if score < SURE:
         return [
             f"No ball is seen surely at {where}: the score of {score:.2f} is below {SURE}. "
             "The forecast may be of something else."
         ]
-    if spread > DOUBTFUL_RADII:
+    if spread > UNCERTAIN_RADII:
         return [
             f"The place of the ball at {where} is known to {spread:.2g} radii only: "
             "the forecast may be far off."

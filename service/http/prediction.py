@@ -42,8 +42,8 @@ from service.inference.step_times import StepTimes, frame_spacing
 from service.observability.metrics import Metrics
 from service.observability.tracing import Stages
 from service.serving.forecast_warnings import (
-    doubts,
     left_frame,
+    limit_warnings,
     lost_ball,
     out_of_distribution,
     replaced,
@@ -105,7 +105,7 @@ class _Forecast(ABC):
         self._horizon = 0
         self._spacing = 1.0
         """Time between two frames, in the model's steps."""
-        self._doubts: list[str] = []
+        self._warnings: list[str] = []
         self._limits: list[str] = []
         """Warnings of the model that forecasts."""
 
@@ -119,7 +119,7 @@ class _Forecast(ABC):
         """
         self.request, names = self._parse(self._token.raise_if_cancelled)
         request = self.request
-        self._doubts = numbering_warnings(names)
+        self._warnings = numbering_warnings(names)
         self._stages.begin("decode")
         final_frame = request.final_frame is not None
         prompted = request.balls is not None
@@ -161,9 +161,9 @@ class _Forecast(ABC):
         self._size = (opened.side, opened.side)
         frames = opened.decode()
         seen = frame_stats(frames)
-        self._limits = doubts(predictor, self._horizon, self._rate, seen)
+        self._limits = limit_warnings(predictor, self._horizon, self._rate, seen)
         unlike = out_of_distribution(predictor, seen)
-        self._doubts += unlike
+        self._warnings += unlike
         if unlike and (other := self._replacement()) is not None:
             return self._decoded_anew(other)
         source = predictor.manifest.covariance.source
@@ -197,7 +197,7 @@ class _Forecast(ABC):
             return None
         other = self._registry.for_ood_frames(self.manifest)
         if other is not None:
-            self._doubts += [*reasons, replaced(self.manifest, other.manifest)]
+            self._warnings += [*reasons, replaced(self.manifest, other.manifest)]
             self.manifest = other.manifest
         return other
 
@@ -226,7 +226,7 @@ class _Forecast(ABC):
             predictor, frames, request.balls, self._number, self._spacing, steps
         )
         seen = frame_stats(balls.found.said["square"])
-        self._limits = doubts(predictor, self._horizon, self._rate, seen)
+        self._limits = limit_warnings(predictor, self._horizon, self._rate, seen)
         source = predictor.manifest.covariance.source
         levels = balls.on_level_ground if request.model == AUTO_MODEL else [False] * balls.count
         told = zip(balls.colors, balls.scores, balls.seen, balls.warnings, levels, strict=True)
@@ -344,7 +344,7 @@ class _Forecast(ABC):
             frame_rate=self._rate,
             step_rate=self._step_rate,
             **ends,
-            warnings=[*self._limits, *self._doubts],
+            warnings=[*self._limits, *self._warnings],
             timing_ms=taken,
         )
 

@@ -7,7 +7,7 @@ from service.inference.rollout import Predictor
 from service.inference.step_times import frame_spacing, reads_rate
 
 
-def doubts(
+def limit_warnings(
     predictor: Predictor,
     horizon: int,
     frame_rate: float,

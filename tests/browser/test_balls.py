@@ -140,17 +140,17 @@ def test_another_scene_forgets_the_points(page: Page, places: np.ndarray):
     until_forecast(page)
 
 
-def test_a_doubtful_ball_is_grey_and_told(page: Page, places: np.ndarray):
-    def doubted(route):
+def test_an_uncertain_ball_is_grey_and_reported(page: Page, places: np.ndarray):
+    def warned(route):
         answer = route.fetch()
         text = re.sub(r'"score":[0-9.]+', '"score":0.21', answer.text())
         route.fulfill(response=answer, body=text)
 
     select(page, places[0])
-    expect(page.locator("#verdict")).to_have_attribute("data-doubt", "false")
-    page.route("**/predict/stream", doubted)
+    expect(page.locator("#verdict")).to_have_attribute("data-warning", "false")
+    page.route("**/predict/stream", warned)
     page.click("#go")
-    expect(page.locator("#verdict")).to_have_attribute("data-doubt", "true")
+    expect(page.locator("#verdict")).to_have_attribute("data-warning", "true")
     expect(page.locator("#verdict")).to_have_text(
         "The ball was not surely found (score 0.21): the grey path may be wrong."
     )

@@ -14,7 +14,7 @@ import pytest
 from tests.training.common.test_distributed import PACE, Noted
 from tests.training.conftest import tiny
 from training.common.run_folder import CHECKPOINT
-from training.orchestration.campaign import Line, Outcome, Round
+from training.orchestration.auto_training import Line, Outcome, Round
 from training.orchestration.ray_backend import train_rounds, train_together
 from training.recipes.compact import one_ball
 

@@ -70,7 +70,7 @@ def ood_detector() -> OodDetector:
     )
 
 
-def some_look(level: float) -> FrameStats:
+def some_stats(level: float) -> FrameStats:
     generator = np.random.default_rng(1)
     thumbnail = level + 0.01 * generator.normal(size=192)
     return FrameStats(thumbnail.astype(np.float32), np.zeros(7, np.float32), 10)
@@ -78,7 +78,7 @@ def some_look(level: float) -> FrameStats:
 
 def test_the_score_is_the_distance_from_the_nearest_kind(ood_detector):
     for level in (0.2, 0.6):
-        seen = some_look(level)
+        seen = some_stats(level)
         parts = [
             summed_up(seen, *basis)
             for basis in zip(ood_detector.thumbnail, ood_detector.components, strict=True)
@@ -100,4 +100,4 @@ def test_it_is_written_and_read(ood_detector, tmp_path):
     path = tmp_path / "ood.npz"
     ood_detector.write(path)
     again = OodDetector.read(path)
-    assert again.score(some_look(0.3)) == pytest.approx(ood_detector.score(some_look(0.3)))
+    assert again.score(some_stats(0.3)) == pytest.approx(ood_detector.score(some_stats(0.3)))

@@ -157,9 +157,9 @@ class Soak:
             self.kinds[request.kind] += 1
             self._sent += 1
             if self._sent % (self._most // WINDOWS) == 0:
-                self._look()
+                self._check()
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         serving = answering(self._process)
         children = [child for one in serving for child in one.children(recursive=True)]
         simulating = sum(child.memory_info().rss for child in children if child.is_running())

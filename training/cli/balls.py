@@ -14,7 +14,7 @@ from rollcast.scene import Scenario
 from training.cli.options import CORES, MODELS, TestScenes, Workers, failed
 from training.common.run_folder import BEST, read_best, read_whole
 from training.common.settings import runs_folder
-from training.data.ball_windows import BallLooks, BallStream, validation_windows
+from training.data.ball_windows import BallAppearanceMixture, BallStream, validation_windows
 from training.data.splits import Split
 from training.engine.ball_trainer import BallTrainer, BallTraining
 from training.engine.encounter_trainer import EncounterTraining, train_encounters
@@ -72,14 +72,16 @@ PARTS: dict[Part, BallTraining] = {
 }
 OTHER_RATES = 0.5
 """Share of the simulated windows that are filmed at another rate (decision 0153)."""
-LOOKS: dict[Part, BallLooks] = {
-    "all": BallLooks(other_rates=OTHER_RATES),
-    "detector": BallLooks(other_rates=OTHER_RATES),
-    "refiner": BallLooks(
+MIXTURES: dict[Part, BallAppearanceMixture] = {
+    "all": BallAppearanceMixture(other_rates=OTHER_RATES),
+    "detector": BallAppearanceMixture(other_rates=OTHER_RATES),
+    "refiner": BallAppearanceMixture(
         paper=0.25, filmed=0.2, restyled=0.25, planar=0.3, other_rates=OTHER_RATES
     ),
 }
-MOTION_LOOKS = BallLooks(paper=0.45, filmed=0.2, restyled=0.25, planar=0.1, other_rates=OTHER_RATES)
+MOTION_MIXTURE = BallAppearanceMixture(
+    paper=0.45, filmed=0.2, restyled=0.25, planar=0.1, other_rates=OTHER_RATES
+)
 
 
 def add_to(app: typer.Typer) -> None:
@@ -107,7 +109,7 @@ def train_balls(
 
     def stream(first: int) -> BallStream:
         size = training.batch_size
-        return BallStream(sources, LOOKS[part], size, training.seed, first, REPEATS)
+        return BallStream(sources, MIXTURES[part], size, training.seed, first, REPEATS)
 
     trainer = BallTrainer(
         any_ball_from(models) if init is None else _trained(init),
@@ -149,12 +151,12 @@ def train_ball_motion(
     """Train the states at t = 0 and the motion by trajectories, with the perception of the run."""
     network = _trained(runs_folder() / RUN).eval()
     training = MotionTraining(batches)
-    stream = BallStream(ball_sources(workers=workers), MOTION_LOOKS, 24, training.seed, 0)
+    stream = BallStream(ball_sources(workers=workers), MOTION_MIXTURE, 24, training.seed, 0)
     loader = DataLoader(stream, batch_size=None, num_workers=1)
-    readings = read_windows(network, islice(loader, windows // 24), training.seed)
-    counts = {balls: len(part.radii) for balls, part in readings.items()}
+    outputs = read_windows(network, islice(loader, windows // 24), training.seed)
+    counts = {balls: len(part.radii) for balls, part in outputs.items()}
     typer.echo(f"windows by number of balls: {counts}")
-    for number, loss in enumerate(train_motion(network, readings, training), start=1):
+    for number, loss in enumerate(train_motion(network, outputs, training), start=1):
         if number % 100 == 0:
             typer.echo(f"{number} of {training.batches} batches: loss {loss:.3f}")
     _write_motion(network)

@@ -25,13 +25,13 @@ from training.cli.options import (
 )
 from training.common.settings import runs_folder
 from training.data.shards import Source
-from training.evaluation.error_breakdown import dissected, dissection_table
+from training.evaluation.error_breakdown import breakdown_of, breakdown_table
 from training.evaluation.evaluate import evaluation_sets, markdown_table, metric_rows, run
 from training.evaluation.frame_rates import measure as measure_frame_rates
 from training.evaluation.frame_rates import results_table as rates_table
 from training.evaluation.perturbations import measure as measure_perturbations
 from training.evaluation.perturbations import results_table
-from training.evaluation.real_clips import balls_look, perception_look
+from training.evaluation.real_clips import any_ball_finder, perception_finder
 from training.evaluation.real_clips import table as real_clips_table
 from training.evaluation.tracked_clips import table as tracked_clips_table
 from training.export.any_ball import BallGraphs
@@ -120,11 +120,11 @@ def real_clips(
 ) -> None:
     """Measure how often a model finds the ball in real clips with tracks."""
     if Manifest.read(model / MANIFEST_FILE).max_objects is None:
-        look = perception_look(load_exported(model)[1])
+        finder = perception_finder(load_exported(model)[1])
     else:
         graphs = BallGraphs(model)
-        look = balls_look(graphs.detect, graphs.refine)
-    lines = _shown(real_clips_table(look, clips, tracks))
+        finder = any_ball_finder(graphs.detect, graphs.refine)
+    lines = _shown(real_clips_table(finder, clips, tracks))
     if page:
         label = Manifest.read(model / MANIFEST_FILE).label
         _write_page("real-clips", REAL_CLIPS_PAGE.format(label=label, table=lines))
@@ -242,10 +242,10 @@ def error_breakdown(
     if not isinstance(network, FieldNet):
         failed(f"{manifest.label} is a {manifest.variant}; only the state of a fieldnet has parts")
     errors = {
-        scenario: dissected(network, Source(scenario, manifest.objects), scenes, workers)
+        scenario: breakdown_of(network, Source(scenario, manifest.objects), scenes, workers)
         for scenario in manifest.simulated
     }
-    typer.echo(dissection_table(errors, manifest.objects))
+    typer.echo(breakdown_table(errors, manifest.objects))
 
 
 def export(

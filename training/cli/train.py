@@ -39,7 +39,7 @@ from training.export.export import export_run
 from training.export.load import initial_networks
 from training.networks.recurrent import Predictor
 from training.networks.vgg import VggEncoder, load_imagenet
-from training.orchestration import campaign
+from training.orchestration import auto_training
 from training.recipes import RECIPES, summary
 from training.recipes.recipe import Recipe
 from training.reporting.plots import draw_training
@@ -194,11 +194,11 @@ def auto_train(
     ray: Annotated[str | None, ray_option("train independent rounds in parallel")] = None,
 ) -> None:
     """Train every family in rounds and export what got better, until nothing gains."""
-    folder = runs_folder() / "campaign"
+    folder = runs_folder() / "auto-train"
     one_round = partial(
-        campaign.train, models=MODELS.resolve(), config=TrainerConfig(simulators=workers)
+        auto_training.train, models=MODELS.resolve(), config=TrainerConfig(simulators=workers)
     )
-    while rounds := campaign.next_rounds(campaign.lines(), folder, MODELS, sequences):
+    while rounds := auto_training.next_rounds(auto_training.lines(), folder, MODELS, sequences):
         if ray is None:
             rounds = rounds[:1]
         for chosen in rounds:
@@ -217,11 +217,13 @@ def auto_train(
     typer.echo("no family improves enough any more")
 
 
-def _finish(chosen: campaign.Round, outcome: campaign.Outcome, scenes: int, workers: int) -> None:
+def _finish(
+    chosen: auto_training.Round, outcome: auto_training.Outcome, scenes: int, workers: int
+) -> None:
     """Export what a round made better, and write down that it is done."""
     before, now = outcome.error_before_px, outcome.error_px
     typer.echo(f"{chosen.recipe.name}: {before} px before, {now} px now")
     if outcome.gain > 0:
         made = export_run(chosen.recipe, chosen.folder, MODELS, 1, scenes, workers)
         complete(made, MODELS, workers)
-    campaign.finish(chosen, outcome)
+    auto_training.finish(chosen, outcome)

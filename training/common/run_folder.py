@@ -11,7 +11,16 @@ EVENTS = "events"
 """Folder of TensorBoard's events."""
 LOSS = "training/loss"
 """Tag of the events; all others are errors in px."""
-RENAMED_PARTS = {"eye": "perception"}
+RENAMED_PARTS = {
+    "eye": "perception",
+    "first_doubt": "first_covariance",
+    "doubt": "covariance_change",
+    "unsure": "covariance_from_sigmas",
+    "encounters": "pair_interaction",
+    "scene_constants": "scene_constants",
+    "look": "refiner",
+    "looks": "radius_and_visibility",
+}
 """Parts of parameter names that older run folders and committed graphs have, and their successors.
 """
 

@@ -33,7 +33,7 @@ class BallWindow(NamedTuple):
     ground: Float[np.ndarray, "3 cells cells"]
     """See :func:`training.data.rest_height_map.resting_ground`."""
     scene: Float[np.ndarray, "2"]
-    """See :func:`training.networks.perception.measures_of`; of the first ball."""
+    """See :func:`training.networks.perception.scene_constants_of`; of the first ball."""
     spacing: float = 1.0
     """Time between two seen frames, in those of a forecast; ``centres`` have one of a forecast."""
 

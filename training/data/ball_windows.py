@@ -1,7 +1,7 @@
 """Windows that teach a perception of any number of balls: every ball that is seen is known.
 
-A third kind beside the paper's scenes and their other looks are planar scenes, of which only the
-places in the seen frames are known and that their ground is level.
+A third kind beside the paper's scenes and other appearances of them are planar scenes. Of these,
+only places in the seen frames are known and that their ground is level.
 """
 
 import math
@@ -29,7 +29,7 @@ from training.data.rest_height_map import MAP_CELLS
 from training.data.scene_cache import SceneCache
 from training.data.shards import Recording
 from training.data.windows import MAX_HORIZON, SceneTargets, Window, WindowMaker
-from training.networks.perception import measures_of
+from training.networks.perception import scene_constants_of
 
 HALF = NETWORK_FRAME_SIZE / 2
 STEPS = FIRST_FORECAST_FRAME + MAX_HORIZON
@@ -46,13 +46,13 @@ KINDS: tuple[Kind, ...] = ("paper", "filmed", "restyled", "planar")
 
 
 @dataclass(frozen=True)
-class BallLooks:
+class BallAppearanceMixture:
     """Shares of what training windows show.
 
     Attributes
     ----------
     paper, filmed, restyled, planar
-        Windows of the paper's scenes as they are, from another camera, in other looks altogether,
+        Windows of the paper's scenes as they are, from another camera, in other appearances,
         and of planar scenes.
     """
 
@@ -174,7 +174,7 @@ def posed(window: BallWindow, pose: CameraPose, radius_m: float) -> BallWindow:
     spins = np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=-1)
     heights = pose.scale * window.centres[..., 2:]
     scale = window.scene[0] / 5 + BOWL_HALF_WIDTH_M
-    scene = measures_of(scale / pose.scale, radius_m)
+    scene = scene_constants_of(scale / pose.scale, radius_m)
     if not pose.is_similarity:
         unknown = np.nan
         spins, heights, scene = spins * unknown, heights * unknown, scene * unknown
@@ -343,14 +343,14 @@ class BallStream(IterableDataset[BallBatch]):
     def __init__(
         self,
         sources: Sequence[BallSource],
-        looks: BallLooks,
+        mixture: BallAppearanceMixture,
         batch_size: int,
         seed: int,
         first_batch: int,
         repeats: int = 1,
     ) -> None:
         self._sources = sources
-        self._looks = looks
+        self._mixture = mixture
         self._batch_size = batch_size
         self._seed = seed
         self._first_batch = first_batch
@@ -385,14 +385,14 @@ class BallStream(IterableDataset[BallBatch]):
 
     def draw(self, generator: np.random.Generator) -> BallWindow:
         """Draw a window."""
-        looks = self._looks
-        shares = np.array([looks.paper, looks.filmed, looks.restyled, looks.planar])
+        mixture = self._mixture
+        shares = np.array([mixture.paper, mixture.filmed, mixture.restyled, mixture.planar])
         kind = KINDS[generator.choice(len(KINDS), p=shares / shares.sum())]
         if kind == "planar":
             return planar_window(generator)
         shares = np.array([source.share for source in self._sources])
         source = self._sources[generator.choice(len(shares), p=shares / shares.sum())]
-        others = looks.other_rates > 0 and generator.random() < looks.other_rates
+        others = mixture.other_rates > 0 and generator.random() < mixture.other_rates
         spacing = draw_spacing(generator) if others else 1.0
         return source.maker.window(generator, kind, source.latest_start, spacing)
 
@@ -405,5 +405,5 @@ def validation_windows(sources: Sequence[BallSource], count: int) -> list[BallWi
     sources
         Scenes of the validation split.
     """
-    stream = BallStream(sources, BallLooks(), count, VALIDATION_SEED, 0)
+    stream = BallStream(sources, BallAppearanceMixture(), count, VALIDATION_SEED, 0)
     return [stream.draw(np.random.default_rng([VALIDATION_SEED, index])) for index in range(count)]

@@ -26,13 +26,13 @@ def read_windows(
     stream
         Batches with frames.
     path
-        File that the readings go to, whole or not at all.
+        File of the features, written whole or not at all.
     """
     device = next(family.parameters()).device
     kept: dict[str, list[torch.Tensor]] = {}
     seen = 0
     family.eval()
-    progress = tqdm(total=windows, unit="window", desc="reading")
+    progress = tqdm(total=windows, unit="window", desc="perception")
     while seen < windows:
         batch = next(stream)
         with torch.no_grad(), mixed_precision(device):
@@ -48,22 +48,22 @@ def read_windows(
         seen += len(batch["frames"])
         progress.update(len(batch["frames"]))
     progress.close()
-    readings = {name: torch.cat(parts) for name, parts in kept.items()}
-    save_whole(path, readings)
+    features = {name: torch.cat(parts) for name, parts in kept.items()}
+    save_whole(path, features)
 
 
 def replayed(
     path: Path, batch_size: int, seed: int, first_batch: int, share: Share
 ) -> Iterator[Batch]:
-    """Draw a share of batches of readings for ever; batch k depends on the seed and on k alone."""
-    readings = torch.load(path, weights_only=True)
+    """Draw a share of endless batches of cached features; batch k depends on seed and k only."""
+    features = torch.load(path, weights_only=True)
     number = first_batch
     own = share.of(batch_size)
     while True:
         generator = np.random.default_rng([seed, number])
-        drawn_rows = torch.from_numpy(generator.integers(len(readings["p"]), size=batch_size))
+        drawn_rows = torch.from_numpy(generator.integers(len(features["p"]), size=batch_size))
         rows = drawn_rows[own.start :: own.step]
-        drawn = {name: part[rows] for name, part in readings.items()}
+        drawn = {name: part[rows] for name, part in features.items()}
         yield Batch(
             frames=torch.empty(len(own), 0, *FRAME_SHAPE, dtype=torch.uint8),
             initial_state=InitialState(State(drawn["s"].float(), drawn["p"]), drawn.get("finals")),

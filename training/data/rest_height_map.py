@@ -37,9 +37,9 @@ def resting_ground(scene: Scene) -> Float[np.ndarray, "3 cells cells"]:
     heights = _heights(scene, camera, step, reach)
     # World y falls down the rows, so the second gradient is that of image y with its sign turned.
     down, right = np.gradient(heights, step)
-    upright = 1 / np.sqrt(1 + right**2 + down**2)
+    normal_z = 1 / np.sqrt(1 + right**2 + down**2)
     middle = slice(_POINTS_A_CELL // 2, None, _POINTS_A_CELL)
-    ground = np.stack([-right * upright, -down * upright, heights / camera.half_width_m])
+    ground = np.stack([-right * normal_z, -down * normal_z, heights / camera.half_width_m])
     ground = ground[:, middle, middle]
     return np.where(ground[2] > _NOWHERE / 2, ground, np.nan).astype(np.float32)
 

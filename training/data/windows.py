@@ -20,7 +20,7 @@ from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.common.distributed import Share
 from training.data.scene_cache import SceneCache
 from training.data.shards import STORED_FRAMES, Recording
-from training.networks.perception import measures_of
+from training.networks.perception import scene_constants_of
 from training.networks.recurrent import InitialState
 
 MAX_HORIZON = 40
@@ -53,12 +53,12 @@ class SceneTargets(NamedTuple):
     """Ball centres from the first observed frame to the last step."""
     ground: Float[np.ndarray, "3 cells cells"]
     """See :func:`training.data.rest_height_map.resting_ground`."""
-    measures: Float[np.ndarray, "2"]
-    """See :func:`training.networks.perception.measures_of`."""
+    scene_constants: Float[np.ndarray, "2"]
+    """See :func:`training.networks.perception.scene_constants_of`."""
 
 
 class Guidance(NamedTuple):
-    """What windows of many appearances have besides (:class:`training.data.looks.Looks`)."""
+    """Guidance of windows of many appearances (:mod:`training.data.appearance_mixture`)."""
 
     prompts: Float[np.ndarray, "objects 2"]
     """Rough places of the balls that are meant, in the last seen frame; NaN without a prompt."""
@@ -89,7 +89,7 @@ class Batch(TypedDict):
     """The fields of :class:`SceneTargets`."""
     guidance: NotRequired[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]
     """The fields of :class:`Guidance`."""
-    practice: NotRequired["Batch"]
+    from_true_states: NotRequired["Batch"]
     """More windows without frames."""
     initial_state: NotRequired[InitialState]
     """What was read of the frames, in their place."""
@@ -148,7 +148,7 @@ class Symmetry:
         if self.mirror:
             centres = centres * np.array([-1, 1, 1])
             ground = ground[:, :, ::-1] * np.array([-1, 1, 1])[:, None, None]
-        return SceneTargets(centres, ground, scene_targets.measures)
+        return SceneTargets(centres, ground, scene_targets.scene_constants)
 
 
 class WindowMaker:
@@ -218,27 +218,29 @@ class WindowMaker:
         half_width = camera_for(scene.scenario, NETWORK_FRAME_SIZE).half_width_m
         centres = trajectory.window(start, FIRST_FORECAST_FRAME + horizon).positions_m
         centres = centres.swapaxes(0, 1) * (np.array([1, -1, 1]) / half_width)
-        return SceneTargets(centres, self._grounds[index], measures_of(half_width, scene.radius_m))
+        return SceneTargets(
+            centres, self._grounds[index], scene_constants_of(half_width, scene.radius_m)
+        )
 
 
-class Look(NamedTuple):
-    """How one training window looks."""
+class WindowAppearance(NamedTuple):
+    """Appearance of one training window."""
 
     kind: Literal["paper", "restyled", "planar"]
-    """The paper's look, another look of its scenes, or a planar scene instead of the scene."""
+    """The paper's appearance, another one of its scenes, or a planar scene instead of the scene."""
     prompted: bool
     seed: int
 
 
 class Mixture(Protocol):
-    """What training windows look like."""
+    """Appearance of training windows."""
 
-    def draw(self, generator: np.random.Generator) -> Look:
-        """Draw the look of a window."""
+    def draw(self, generator: np.random.Generator) -> WindowAppearance:
+        """Draw the appearance of a window."""
         ...
 
     def window(
-        self, look: Look, maker: WindowMaker, index: int, start: int, horizon: int
+        self, appearance: WindowAppearance, maker: WindowMaker, index: int, start: int, horizon: int
     ) -> Window:
         """Make the window, with guidance."""
         ...
@@ -251,7 +253,7 @@ class _Drawn(NamedTuple):
     scene: int
     start: int
     symmetry: Symmetry
-    look: Look | None
+    appearance: WindowAppearance | None
 
 
 class TrainingStream(IterableDataset[Batch]):
@@ -267,7 +269,7 @@ class TrainingStream(IterableDataset[Batch]):
         Forecast step that a fifth frame shows; None leaves that frame out.
     scene_caches
         One for every group.
-    practice
+    true_state_windows
         Windows without frames beside every batch.
     seen
         Whether the windows have frames.
@@ -276,7 +278,7 @@ class TrainingStream(IterableDataset[Batch]):
     share
         The rows of every batch that are made.
     mixture
-        What the windows look like; None for the paper's look alone.
+        Appearance of the windows; None for the paper's appearance alone.
     """
 
     def __init__(
@@ -289,7 +291,7 @@ class TrainingStream(IterableDataset[Batch]):
         seed: int,
         first_batch: int,
         scene_caches: Sequence[SceneCache],
-        practice: int = 0,
+        true_state_windows: int = 0,
         *,
         seen: bool = True,
         scene_targets: bool = False,
@@ -304,7 +306,7 @@ class TrainingStream(IterableDataset[Batch]):
             WindowMaker(group, final_step, scene_cache, scene_targets=scene_targets)
             for group, scene_cache in zip(groups, scene_caches, strict=True)
         ]
-        self._practice = practice
+        self._true_state_windows = true_state_windows
         self._seen = seen
         self._sizes = [len(group) for group in groups]
         self._shares = np.asarray(shares) / np.sum(shares)
@@ -327,8 +329,10 @@ class TrainingStream(IterableDataset[Batch]):
 
     def _batch(self, generator: np.random.Generator) -> Batch:
         batch = collate(self._windows(generator, self._batch_size, seen=self._seen))
-        if self._practice:
-            batch["practice"] = collate(self._windows(generator, self._practice, seen=False))
+        if self._true_state_windows:
+            batch["from_true_states"] = collate(
+                self._windows(generator, self._true_state_windows, seen=False)
+            )
         return batch
 
     def _windows(self, generator: np.random.Generator, rows: int, *, seen: bool) -> list[Window]:
@@ -343,15 +347,15 @@ class TrainingStream(IterableDataset[Batch]):
             scene=int(generator.integers(self._sizes[group])),
             start=int(generator.integers(self._latest_starts[group] + 1)),
             symmetry=Symmetry(int(generator.integers(4)), bool(generator.integers(2))),
-            look=None if self._mixture is None else self._mixture.draw(generator),
+            appearance=None if self._mixture is None else self._mixture.draw(generator),
         )
 
     def _window(self, drawn: _Drawn, *, seen: bool) -> Window:
         maker, place = self._makers[drawn.group], (drawn.scene, drawn.start, MAX_HORIZON)
-        if drawn.look is None or self._mixture is None:
+        if drawn.appearance is None or self._mixture is None:
             window = maker.window(*place, seen=seen)
         else:
-            window = self._mixture.window(drawn.look, maker, *place)
+            window = self._mixture.window(drawn.appearance, maker, *place)
         return drawn.symmetry.apply(window)
 
 

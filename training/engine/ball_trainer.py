@@ -57,12 +57,12 @@ class BallTraining:
     gradient_clip: float = 4.0
     average_decay: float = 0.998
     seed: int = 1
-    frozen: tuple[str, ...] = ("rolling.", "first_doubt.", "unsure.")
+    frozen: tuple[str, ...] = ("rolling.", "first_covariance.", "covariance_from_sigmas.")
     fresh: tuple[str, ...] = (
         "perception.detector.said",
         "perception.refiner.registration.",
         "perception.refiner.weighing.",
-        "perception.refiner.looks.",
+        "perception.refiner.radius_and_visibility.",
         "perception.refiner.sigmas.",
     )
     """Parts that start from random weights."""
@@ -158,7 +158,7 @@ class BallTrainer(TrainingLoop[BallBatch]):
         rows = _rows(batch, self.training.looked_at, generator)
         balls, places, radii = _beginnings(batch, maps, rows, generator)
         with mixed_precision(batch.places.device):
-            # A pass learns the first look of a half, the second one of the others.
+            # The single pass is the first one of half of the balls, the second one of the others.
             seen = perception.refine(balls.frames, places, radii, passes=1)
         ground, spacing = maps.ground[rows.window], balls.spacing
         state, beginning = self.network.begin(seen, ground, maps.scene[rows.window], spacing)

@@ -55,16 +55,16 @@ def train_encounters(
     Parameters
     ----------
     network
-        Network with ``encounters``.
+        Network with ``pair_interaction``.
     sources
         Scenes of several balls. All scenes of one source have the same number of balls.
     training
         Configuration.
     """
     rolling = network.rolling
-    assert rolling.encounters is not None
+    assert rolling.pair_interaction is not None
     columns = [rolling.layers[0].weight, rolling.linear.weight]
-    trained = [*rolling.encounters.parameters(), *columns]
+    trained = [*rolling.pair_interaction.parameters(), *columns]
     optimiser = torch.optim.AdamW(trained, training.learning_rate, weight_decay=0.0)
     motion, spin = MotionLoss(training.halving), SpinLoss(training.halving)
     shares = np.array([source.share for source in sources])

@@ -31,13 +31,13 @@ from training.objectives.losses import (
 
 MOST_BALLS = 3
 """Balls of a window at most: as many as the simulations have."""
-MOTION_PARTS = ("perception.state.", "rolling.", "first_doubt.", "unsure.")
+MOTION_PARTS = ("perception.state.", "rolling.", "first_covariance.", "covariance_from_sigmas.")
 """Prefixes of the parameters that are trained."""
 LIKELIHOOD_WEIGHT = 0.2
 """Pixels that a nat counts for; the likelihood trains the covariances alone."""
 
 
-class BallReadings(NamedTuple):
+class BallPerceptionOutputs(NamedTuple):
     """What the perception reads of W windows of N balls, and their truth."""
 
     places: Tensor
@@ -66,14 +66,14 @@ class BallReadings(NamedTuple):
         """What is seen of the balls."""
         return seen_balls(self.places, self.radii, self.visible, self.log_sigmas, self.features)
 
-    def taken(self, index: Tensor) -> "BallReadings":
-        """Return the readings of some windows."""
-        return BallReadings(*(part[index] for part in self))
+    def taken(self, index: Tensor) -> "BallPerceptionOutputs":
+        """Return the outputs of some windows."""
+        return BallPerceptionOutputs(*(part[index] for part in self))
 
 
 @dataclass(frozen=True)
 class MotionTraining:
-    """Configuration of a training, besides its readings.
+    """Configuration of a training, besides its cached perception outputs.
 
     Attributes
     ----------
@@ -94,13 +94,13 @@ class MotionTraining:
 
 def read_windows(
     network: AnyBallNet, batches: Iterable[BallBatch], seed: int
-) -> Mapping[int, BallReadings]:
-    """Return the readings of the windows of some batches, by their number of balls.
+) -> Mapping[int, BallPerceptionOutputs]:
+    """Return the perception outputs of some batches, by their number of balls.
 
     Balls are read as if a point on each were given: the detector says where patches begin.
     """
     generator = torch.Generator().manual_seed(seed)
-    rows: dict[int, list[BallReadings]] = {}
+    rows: dict[int, list[BallPerceptionOutputs]] = {}
     for batch in batches:
         with torch.inference_mode():
             maps = network.perception.detector.maps(batch.frames)
@@ -119,17 +119,17 @@ def read_windows(
                 if lost.any():
                     continue
                 seen = network.perception.refine(batch.frames[one], said.places, said.radii)
-                reading = BallReadings(
+                perceived = BallPerceptionOutputs(
                     seen.places, seen.radii, seen.visible, seen.log_sigmas, seen.features,
                     maps.ground[one], maps.scene[one], batch.spacing[one],
                     batch.centres[one, balls], batch.spins[one, balls],
                 )  # fmt: skip
                 rows.setdefault(len(balls), []).append(
-                    BallReadings(*(part.clone() for part in reading))
+                    BallPerceptionOutputs(*(part.clone() for part in perceived))
                 )
     return {
-        count: BallReadings(*(torch.cat(parts) for parts in zip(*readings, strict=True)))
-        for count, readings in sorted(rows.items())
+        count: BallPerceptionOutputs(*(torch.cat(parts) for parts in zip(*outputs, strict=True)))
+        for count, outputs in sorted(rows.items())
     }
 
 
@@ -143,13 +143,13 @@ def _balls_of(batch: BallBatch, window: int) -> Tensor:
 
 
 def train_motion(
-    network: AnyBallNet, readings: Mapping[int, BallReadings], training: MotionTraining
+    network: AnyBallNet, outputs: Mapping[int, BallPerceptionOutputs], training: MotionTraining
 ) -> Iterator[float]:
     """Train in place; yield the loss of every batch.
 
     Parameters
     ----------
-    readings
+    outputs
         By number of balls.
     """
     motion, states = [], []
@@ -166,14 +166,14 @@ def train_motion(
     ]
     rates = [group["lr"] for group in learned]
     optimiser = torch.optim.AdamW(learned, weight_decay=1e-3)
-    counts = list(readings)
-    shares = np.array([len(readings[count].radii) for count in counts], float)
+    counts = list(outputs)
+    shares = np.array([len(outputs[count].radii) for count in counts], float)
     for number in range(training.batches):
         generator = np.random.default_rng([training.seed, number])
         progress = number / training.batches
         for group, rate in zip(optimiser.param_groups, rates, strict=True):
             group["lr"] = rate * 0.5 * (1 + np.cos(np.pi * progress))
-        some = readings[counts[generator.choice(len(counts), p=shares / shares.sum())]]
+        some = outputs[counts[generator.choice(len(counts), p=shares / shares.sum())]]
         index = torch.from_numpy(generator.integers(len(some.radii), size=training.batch_size))
         horizon = int(np.interp(progress, (0, 0.5), (4, training.horizon)))
         loss = trajectory_loss(network, some.taken(index), horizon, training.halving)
@@ -185,24 +185,24 @@ def train_motion(
 
 
 def trajectory_loss(
-    network: AnyBallNet, readings: BallReadings, horizon: int, halving: float
+    network: AnyBallNet, outputs: BallPerceptionOutputs, horizon: int, halving: float
 ) -> Tensor:
     """Loss of trajectories that begin with what was read, in pixels; what is not known is free."""
-    seen = readings.seen
-    state, balls = network.begin(seen, readings.ground, readings.scene, readings.spacing)
+    seen = outputs.seen
+    state, balls = network.begin(seen, outputs.ground, outputs.scene, outputs.spacing)
     steps = network.rolling.trajectory(state, horizon)
     centres = torch.stack([step.centre for step in steps], dim=2)
-    truth = readings.centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
+    truth = outputs.centres[:, :, FIRST_FORECAST_FRAME : FIRST_FORECAST_FRAME + horizon]
     loss = MotionLoss(halving)(centres, truth)
-    doubt = torch.stack([step.doubt for step in steps], dim=2)
-    flat = torch.cat([centres[..., :2].detach(), doubt], dim=-1)
+    covariance_params = torch.stack([step.covariance_params for step in steps], dim=2)
+    flat = torch.cat([centres[..., :2].detach(), covariance_params], dim=-1)
     positions, covariances = network.output(flat)
     spins = ANGULAR_VELOCITY_UNIT * torch.stack([step.spin for step in steps], dim=2)
     made = Observation(positions, covariances, spins)
     pixels = PIXEL_UNIT * (1 + truth[..., :2])
     loss = loss + LIKELIHOOD_WEIGHT * LikelihoodLoss(halving, 0.0, 5.0)(made, pixels)
-    loss = loss + SpinLoss(halving)(made, readings.spins[:, :, :horizon])
-    now, before = (readings.centres[:, :, OBSERVED_FRAMES - 1 - back] for back in (0, 1))
+    loss = loss + SpinLoss(halving)(made, outputs.spins[:, :, :horizon])
+    now, before = (outputs.centres[:, :, OBSERVED_FRAMES - 1 - back] for back in (0, 1))
     for said, true in ((balls.centres, now), (balls.velocities, now - before)):
         off = PIXEL_UNIT * known_difference(said, true)
         loss = loss + smooth_distance(off, MotionLoss.rounding).mean()

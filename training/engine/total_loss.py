@@ -1,4 +1,4 @@
-"""What a recipe minimises: the loss of forecasts from frames, from readings and from the truth."""
+"""Total loss of a recipe: forecasts from frames, from cached features and from true states."""
 
 import torch
 
@@ -34,11 +34,11 @@ class Objective:
         horizon = horizon_at(recipe.curriculum, progress)
         forecasts = self._forecasts(batch, horizon)
         loss = self._forecast_loss(forecasts, batch, horizon)
-        loss = loss + self._reading_loss(forecasts, batch)
-        if "practice" in batch:
+        loss = loss + self._perception_loss(forecasts, batch)
+        if "from_true_states" in batch:
             assert recipe.explicit is not None
-            practised = horizon_at(recipe.explicit.curriculum, progress)
-            loss = loss + self._practice_loss(batch["practice"], practised)
+            steps = horizon_at(recipe.explicit.curriculum, progress)
+            loss = loss + self._loss_from_true_states(batch["from_true_states"], steps)
         return loss
 
     def _forecasts(self, batch: Batch, horizon: int) -> dict[str, Observation]:
@@ -47,7 +47,7 @@ class Objective:
             (s, p), finals = batch["initial_state"]
             state = State(s.to(self.device), p.to(self.device))
             seen = InitialState(state, None if finals is None else finals.to(self.device))
-            return self._practised(seen, horizon)
+            return self._forecasts_from(seen, horizon)
         frames = batch["frames"].to(self.device)
         with mixed_precision(self.device):
             if "guidance" not in batch:
@@ -56,7 +56,7 @@ class Objective:
             prompts = (batch["guidance"][0].to(self.device) - PIXEL_UNIT) / PIXEL_UNIT
             return _all_in_float32(self.family(frames, horizon, prompts))
 
-    def _practised(self, initial: InitialState, horizon: int) -> dict[str, Observation]:
+    def _forecasts_from(self, initial: InitialState, horizon: int) -> dict[str, Observation]:
         """Return every member's forecasts from what was read, or is true."""
         assert isinstance(self.family, PerceptionFamily)
         with mixed_precision(self.device):
@@ -79,38 +79,40 @@ class Objective:
                 loss = loss + member.weight * final_loss(made, final)
         return loss
 
-    def _reading_loss(
+    def _perception_loss(
         self, forecasts: dict[str, Observation], batch: Batch
     ) -> torch.Tensor | float:
         """Loss of the perception outputs; zero where no perception is trained."""
         explicit = self.recipe.explicit
-        if explicit is None or explicit.reading is None:
+        if explicit is None or explicit.perception is None:
             return 0.0
         scene_targets = self._scene_targets(batch)
         shake = radii = None
         if "guidance" in batch:
             shake, radii = (part.to(self.device) / PIXEL_UNIT for part in batch["guidance"][1:])
-        readings = {id(made.reading): made.reading for made in forecasts.values()}
+        outputs = {
+            id(made.perception_output): made.perception_output for made in forecasts.values()
+        }
         losses = [
-            explicit.reading(reading, scene_targets, shake, radii)
-            for reading in readings.values()
-            if reading
+            explicit.perception(perceived, scene_targets, shake, radii)
+            for perceived in outputs.values()
+            if perceived
         ]
         return sum(losses, start=0.0)
 
-    def _practice_loss(self, batch: Batch, horizon: int) -> torch.Tensor:
+    def _loss_from_true_states(self, batch: Batch, horizon: int) -> torch.Tensor:
         """Loss of forecasts that begin with the truth instead of frames."""
         recipe, explicit = self.recipe, self.recipe.explicit
         assert explicit is not None
-        centres, ground, measures = self._scene_targets(batch)
+        centres, ground, constants = self._scene_targets(batch)
         spins = batch["angular_velocities"][:, :, :horizon].to(self.device)
-        start = true_state(centres[:, :, :OBSERVED_FRAMES], spins[:, :, 0], ground, measures)
+        start = true_state(centres[:, :, :OBSERVED_FRAMES], spins[:, :, 0], ground, constants)
         if isinstance(self.family, PerceptionStateFamily):
             final = None
             if recipe.task.final_step is not None:
                 final = centres[:, :, FIRST_FORECAST_FRAME + recipe.task.final_step, :2]
             return self._forecast_loss(
-                self._practised(InitialState(start, final), horizon), batch, horizon
+                self._forecasts_from(InitialState(start, final), horizon), batch, horizon
             )
         assert explicit.motion is not None
         loss = torch.zeros((), device=self.device)
@@ -124,8 +126,8 @@ class Objective:
 
     def _scene_targets(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         assert "scene_targets" in batch
-        centres, ground, measures = batch["scene_targets"]
-        return centres.to(self.device), ground.to(self.device), measures.to(self.device)
+        centres, ground, constants = batch["scene_targets"]
+        return centres.to(self.device), ground.to(self.device), constants.to(self.device)
 
 
 def _all_in_float32(observed: dict[str, Observation]) -> dict[str, Observation]:

@@ -13,9 +13,9 @@ from torch.utils.data import DataLoader
 
 from training.common import distributed
 from training.common.devices import chosen_device
+from training.data.appearance_mixture import other_appearances
 from training.data.clip_dataset import Clips, ClipStream
 from training.data.feature_cache import read_windows, replayed
-from training.data.looks import other_looks
 from training.data.scene_cache import load_scene_cache
 from training.data.shards import Source, load_recordings, simulate_split
 from training.data.splits import Split
@@ -28,7 +28,7 @@ from training.networks.recurrent import Family, PerceptionFamily
 from training.objectives.metrics import forecast
 from training.recipes.recipe import Recipe, longest_rollout
 
-READINGS = "readings.pt"
+FEATURE_CACHE = "feature_cache.pt"
 READ_TOGETHER = 32
 """Windows that are read at once to be replayed."""
 VALIDATION_STRIDE = 5
@@ -110,28 +110,31 @@ class Trainer(TrainingLoop[Batch]):
         return min(self.sequences, replayed_windows) if replayed_windows else self.sequences
 
     def _stream(self) -> Iterator[Batch]:
-        """Return the batches from the next one on: seen anew, or drawn from readings."""
+        """Return the batches from the next one on: rendered, or drawn from cached features."""
         recipe = self.recipe
-        practice = recipe.explicit.practice if recipe.explicit else 0
+        windows = recipe.explicit.true_state_windows if recipe.explicit else 0
         if not recipe.replay_windows:
-            return self._fresh(recipe.batch_size, self.batches, practice=practice)
-        path = self.folder / READINGS
+            return self._fresh(recipe.batch_size, self.batches, true_state_windows=windows)
+        path = self.folder / FEATURE_CACHE
         if not path.exists():
             assert isinstance(self.family, PerceptionFamily)
             whole = self._fresh(READ_TOGETHER, 0, share=distributed.Share())
             read_windows(self.family, whole, recipe.replay_windows, path)
         batches = replayed(path, recipe.batch_size, recipe.seed, self.batches, distributed.share())
-        if not practice:
+        if not windows:
             return batches
-        unseen = self._fresh(practice, self.batches, seen=False)
-        return ({**batch, "practice": other} for batch, other in zip(batches, unseen, strict=True))
+        unseen = self._fresh(windows, self.batches, seen=False)
+        return (
+            {**batch, "from_true_states": other}
+            for batch, other in zip(batches, unseen, strict=True)
+        )
 
     def _fresh(
         self,
         batch_size: int,
         first_batch: int,
         *,
-        practice: int = 0,
+        true_state_windows: int = 0,
         seen: bool = True,
         share: distributed.Share | None = None,
     ) -> Iterator[Batch]:
@@ -164,11 +167,11 @@ class Trainer(TrainingLoop[Batch]):
                 recipe.seed,
                 first_batch=first_batch,
                 scene_caches=[load_scene_cache(of_source, simulators) for of_source in shards],
-                practice=practice,
+                true_state_windows=true_state_windows,
                 seen=seen,
                 scene_targets=recipe.explicit is not None,
                 share=share or distributed.share(),
-                mixture=recipe.looks,
+                mixture=recipe.appearances,
             )
         loader = DataLoader(
             stream,
@@ -255,7 +258,9 @@ def validation_windows(recipe: Recipe, simulators: int) -> dict[str, list[Window
         name: fixed_windows(of_source, horizon, recipe.task.final_step)
         for name, of_source in recordings.items()
     }
-    return windows if recipe.looks is None else windows | other_looks(recordings, horizon)
+    return (
+        windows if recipe.appearances is None else windows | other_appearances(recordings, horizon)
+    )
 
 
 def shared_factor(progress: float, heads_alone: float) -> float:

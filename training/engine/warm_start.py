@@ -7,7 +7,7 @@ import torch
 
 from training.networks.recurrent import Network
 
-CLOSER, ZOOMED = "perception.closer.", "perception.zoomed.look."
+CLOSER, ZOOMED = "perception.closer.", "perception.zoomed.refiner."
 
 OF_EVERY_BALL = ("encoder.", "perception.first.where.")
 """Parameters whose outputs there are of every ball."""
@@ -54,7 +54,7 @@ def placed(network: Network, parameters: dict[str, torch.Tensor]) -> dict[str, t
 def _with_zoom(
     parameters: dict[str, torch.Tensor], own: dict[str, torch.Tensor]
 ) -> dict[str, torch.Tensor]:
-    """Begin a zoomed look as the closer one, without corrections, where there was none."""
+    """Begin a zoomed pass as the closer one, without corrections, where there was none."""
     if any(ZOOMED in name for name in parameters):
         return parameters
     added = {

@@ -30,7 +30,7 @@ SUBSTITUTES: Mapping[str, tuple[str, ...]] = {
 """What is taken from the truth, and the parts of the state that it replaces."""
 
 
-def dissected(
+def breakdown_of(
     network: FieldNet, source: Source, scenes: int, workers: int
 ) -> dict[str, np.ndarray]:
     """Return the mean error in pixels at every step up to T_gen for each of SUBSTITUTES."""
@@ -42,11 +42,11 @@ def dissected(
     start = TEST_START[source.scenario]
     batch = collate([maker.window(index, start, horizon) for index in range(scenes)])
     assert "scene_targets" in batch
-    centres, ground, measures = batch["scene_targets"]
+    centres, ground, constants = batch["scene_targets"]
     with torch.inference_mode():
         seen = network.start(batch["frames"])
         spins = batch["angular_velocities"][:, :, 0]
-        truth = true_state(centres[:, :, :OBSERVED_FRAMES], spins, ground, measures)
+        truth = true_state(centres[:, :, :OBSERVED_FRAMES], spins, ground, constants)
         errors: dict[str, np.ndarray] = {}
         for name, parts in SUBSTITUTES.items():
             rolled = network.roll_out(_mixed(seen, truth, parts), horizon).positions
@@ -59,12 +59,12 @@ def _mixed(seen: State, truth: State, parts: Sequence[str]) -> State:
     true_ball = Ball.unpacked(truth.p)._asdict()
     taken = {part: true_ball[part] for part in parts if part != "ground"}
     if "ground" in parts:
-        taken["measures"] = true_ball["measures"]
+        taken["scene_constants"] = true_ball["scene_constants"]
     ball = Ball.unpacked(seen.p)._replace(**taken)
     return State(truth.s if "ground" in parts else seen.s, ball.packed())
 
 
-def dissection_table(errors: Mapping[str, Mapping[str, np.ndarray]], objects: int) -> str:
+def breakdown_table(errors: Mapping[str, Mapping[str, np.ndarray]], objects: int) -> str:
     """Mean errors in pixels by scenario as a Markdown table."""
     horizons = (compared_horizon(objects), generated_horizon(objects))
     columns = [f"{scenario}, T={horizon}" for scenario in errors for horizon in horizons]

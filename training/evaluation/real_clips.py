@@ -158,35 +158,35 @@ def _pictures(
             yield number, cv2.resize(cut, size, interpolation=cv2.INTER_AREA)
 
 
-Look = Callable[[UInt8[np.ndarray, "4 128 128 3"], Float[np.ndarray, "2"] | None], np.ndarray]
+BallFinder = Callable[[UInt8[np.ndarray, "4 128 128 3"], Float[np.ndarray, "2"] | None], np.ndarray]
 """Frames, and perhaps a prompt in halves of the frame, to the paths [balls, 4, 2] of the balls that
 a model answers with, in halves of the frame."""
 
 
-def perception_look(network: Network) -> Look:
+def perception_finder(network: Network) -> BallFinder:
     """Return how a network for a fixed number of balls sees: its first ball."""
     (perception,) = (part for part in network.modules() if isinstance(part, Perception))
 
-    def look(frames: np.ndarray, prompt: np.ndarray | None) -> np.ndarray:
+    def finder(frames: np.ndarray, prompt: np.ndarray | None) -> np.ndarray:
         prompts = None if prompt is None else torch.from_numpy(prompt[None, None]).float()
         with torch.inference_mode():
-            reading: PerceptionOutput = perception(torch.from_numpy(frames[None]), prompts)
-        return reading.seen_positions[-1][0, :1].numpy()
+            perceived: PerceptionOutput = perception(torch.from_numpy(frames[None]), prompts)
+        return perceived.seen_positions[-1][0, :1].numpy()
 
-    return look
+    return finder
 
 
-def balls_look(detect: Detect, refine: Refine) -> Look:
+def any_ball_finder(detect: Detect, refine: Refine) -> BallFinder:
     """Return how a network for any number of balls sees: the prompted ball, or all that move."""
 
-    def look(frames: np.ndarray, prompt: np.ndarray | None) -> np.ndarray:
+    def finder(frames: np.ndarray, prompt: np.ndarray | None) -> np.ndarray:
         balls, _ = find_balls(detect, refine, frames, None if prompt is None else prompt[None])
         return balls.places if prompt is not None else balls.places[moving_balls(balls, MAX_BALLS)]
 
-    return look
+    return finder
 
 
-def find(look: Look, windows: list[ClipWindow], *, prompted: bool) -> Found:
+def find(finder: BallFinder, windows: list[ClipWindow], *, prompted: bool) -> Found:
     """Measure a model on windows.
 
     Of several balls that it answers with, the one nearest to the true place counts.
@@ -200,7 +200,7 @@ def find(look: Look, windows: list[ClipWindow], *, prompted: bool) -> Found:
     offs: list[np.ndarray] = []
     for window, error in zip(windows, errors, strict=True):
         rough = (window.path[-1] + error - PIXEL_UNIT) / PIXEL_UNIT
-        seen = PIXEL_UNIT + PIXEL_UNIT * look(window.frames, rough if prompted else None)
+        seen = PIXEL_UNIT + PIXEL_UNIT * finder(window.frames, rough if prompted else None)
         off = seen - window.path
         offs.append(off[np.linalg.norm(off[:, -1], axis=-1).argmin()])
     off = np.stack(offs)
@@ -211,7 +211,7 @@ def find(look: Look, windows: list[ClipWindow], *, prompted: bool) -> Found:
     )
 
 
-def table(look: Look, clips: Path, tracks: Path) -> Iterator[str]:
+def table(finder: BallFinder, clips: Path, tracks: Path) -> Iterator[str]:
     """Lines of a table, one for every clip."""
     setups = json.loads((tracks / "setup.json").read_text(encoding="utf-8"))
     yield header(
@@ -220,7 +220,7 @@ def table(look: Look, clips: Path, tracks: Path) -> Iterator[str]:
     measured: list[tuple[Found, Found]] = []
     for name, setup in setups.items():
         windows = clip_windows(clips, tracks, name, setup)
-        alone, prompted = (find(look, windows, prompted=p) for p in (False, True))
+        alone, prompted = (find(finder, windows, prompted=p) for p in (False, True))
         measured.append((alone, prompted))
         yield row([name, len(windows), *_cells(alone), *_cells(prompted)])
     ways = list(zip(*measured, strict=True))

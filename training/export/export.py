@@ -271,7 +271,7 @@ def fit_covariance(forecasts: Mapping[Key, Forecasts]) -> CovarianceSource:
                 ((round(m[0][0], 4), round(m[0][1], 4)), (round(m[1][0], 4), round(m[1][1], 4)))
                 for m in moments.tolist()
             ),
-            ellipse50_radius=_half_radius(distances_sigmas(residuals, moments)),
+            ellipse50_radius=_ellipse50_radii(distances_sigmas(residuals, moments)),
         )
     joined = np.concatenate(covariances).reshape(-1, residuals.shape[1], 2, 2)
     distances = distances_sigmas(residuals, joined.astype(float))
@@ -281,11 +281,11 @@ def fit_covariance(forecasts: Mapping[Key, Forecasts]) -> CovarianceSource:
     return CovarianceSource(
         source="predicted",
         variance_scale=tuple(round(value, 4) for value in scale.tolist()),
-        ellipse50_radius=_half_radius(distances / np.sqrt(scale)),
+        ellipse50_radius=_ellipse50_radii(distances / np.sqrt(scale)),
     )
 
 
-def _half_radius(distances: np.ndarray) -> tuple[float, ...]:
+def _ellipse50_radii(distances: np.ndarray) -> tuple[float, ...]:
     """Radius at every step that holds half of the distances [residuals, steps]."""
     return tuple(round(value, 4) for value in np.quantile(distances, HALF, axis=0).tolist())
 

@@ -63,7 +63,7 @@ class ReadEncoderGraph(torch.nn.Module):
     def forward(
         self,
         ground: Tensor,
-        measures: Tensor,
+        scene_constants: Tensor,
         centres: Tensor,
         velocities: Tensor,
         spins: Tensor,
@@ -71,8 +71,10 @@ class ReadEncoderGraph(torch.nn.Module):
         finals: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
         """Turn what was read into the state and the first observation, as positional tensors."""
-        reading = PerceptionOutput((), ground, measures, centres, velocities, spins, features)
-        state = self.network.begin(reading, finals)
+        perceived = PerceptionOutput(
+            (), ground, scene_constants, centres, velocities, spins, features
+        )
+        state = self.network.begin(perceived, finals)
         return *state, *present(self.network.observe_first(state))
 
 

@@ -76,7 +76,7 @@ def fit_ood_detectors(folders: Sequence[Path], scenes: int, workers: int) -> lis
         known = [
             one for s in sources for one in source_frame_stats(s, "validation", scenes, workers)
         ]
-        fresh = [one for s in sources for one in fixed_looks(s, workers)]
+        fresh = [one for s in sources for one in fixed_frame_stats(s, workers)]
         ood = calibrate_threshold(ood_detector, known, fresh)
         written += [keep(ood_detector, ood, folder) for folder in alike]
     return written
@@ -240,7 +240,7 @@ def clip_frame_stats(clips: Clips, *, symmetric: bool) -> list[FrameStats]:
     return seen
 
 
-def fixed_looks(source: Source, workers: int) -> list[FrameStats]:
+def fixed_frame_stats(source: Source, workers: int) -> list[FrameStats]:
     """Look at the fixed windows of the test split."""
     recordings = load_recordings(simulate_split(source, "test", TEST_SCENES, workers))
     windows = fixed_windows(recordings, horizon=1, final_step=None)

@@ -17,7 +17,7 @@ from training.networks.fieldnet import (
     FIRST_VARIANCE_PX2,
     LARGEST_VARIANCE_PX2,
     Ball,
-    Encounters,
+    PairInteraction,
     Rolling,
 )
 from training.networks.patch_refiner import PatchRefiner
@@ -84,7 +84,7 @@ class Beginning(NamedTuple):
     spins: Tensor
     """Units of 20 rad/s, world axes."""
     constants: Tensor
-    """[B, N, 2]: see :func:`training.networks.perception.measures_of`, each ball's own."""
+    """[B, N, 2]: see :func:`training.networks.perception.scene_constants_of`, each ball's own."""
 
 
 class BallPerception(nn.Module):
@@ -153,9 +153,10 @@ class BallPerception(nn.Module):
             ahead = torch.stack([last + a * shifts[:, :, -1] for a in SAMPLE_AHEAD], dim=2)
             under = sampled(ground_B3GG, ahead.detach())
             constants = ball_constants(scene_B2, seen.radii)
-            lean, rise = under[:, :, 0, :2], rise_along(under[:, :, 0, :2], shifts[:, :, -1])
+            normal_xy = under[:, :, 0, :2]
+            rise = rise_along(normal_xy, shifts[:, :, -1])
             moving = torch.cat([shifts[:, :, -1], rise], dim=-1)
-            rolling = rolling_spin(lean, moving, radius_of(constants))
+            rolling = rolling_spin(normal_xy, moving, radius_of(constants))
             known = [
                 seen.features, 10 * shifts.flatten(2), last, under.flatten(2), constants, 10 * rise,
                 rolling, spacing_B.log()[:, None, None].expand_as(last[..., :1]),
@@ -176,18 +177,18 @@ def ball_constants(scene_B2: Tensor, radii_BN: Tensor) -> Tensor:
 
 
 class AnyBallNet(nn.Module):
-    """Perception x rolling with encounters, for any number of balls."""
+    """Perception x rolling with pair interaction, for any number of balls."""
 
     def __init__(self) -> None:
         super().__init__()
         self.perception = BallPerception()
-        self.rolling = Rolling(SizedEncounters())
-        self.first_doubt = nn.Linear(FEATURES, 3)
-        self.unsure = nn.Linear(2, 3, bias=False)
-        nn.init.zeros_(self.first_doubt.weight)
-        nn.init.zeros_(self.unsure.weight)
+        self.rolling = Rolling(SizedPairInteraction())
+        self.first_covariance = nn.Linear(FEATURES, 3)
+        self.covariance_from_sigmas = nn.Linear(2, 3, bias=False)
+        nn.init.zeros_(self.first_covariance.weight)
+        nn.init.zeros_(self.covariance_from_sigmas.weight)
         with torch.no_grad():
-            self.first_doubt.bias[:] = torch.tensor(
+            self.first_covariance.bias[:] = torch.tensor(
                 [logit_of_variance(FIRST_VARIANCE_PX2, LARGEST_VARIANCE_PX2)] * 2 + [0.0]
             )
         self.output = GaussianOutput(LARGEST_VARIANCE_PX2)
@@ -202,12 +203,12 @@ class AnyBallNet(nn.Module):
     def state(self, seen: Seen, balls: Beginning, ground_B3GG: Tensor, spacing_B: Tensor) -> State:
         """h_0 of balls at t = 0."""
         with full_precision(ground_B3GG.device):
-            doubt = of_each(self.first_doubt, seen.features.detach())
+            params = of_each(self.first_covariance, seen.features.detach())
             log_sigmas = seen.log_sigmas.detach()
             of_velocity = log_sigmas[..., 1:] - spacing_B.log()[:, None, None]
             log_sigmas = torch.cat([log_sigmas[..., :1], of_velocity], dim=-1)
-            doubt = doubt + of_each(self.unsure, log_sigmas + 4)
-        ball = Ball(balls.centres, balls.velocities, balls.spins, doubt, balls.constants)
+            params = params + of_each(self.covariance_from_sigmas, log_sigmas + 4)
+        ball = Ball(balls.centres, balls.velocities, balls.spins, params, balls.constants)
         return State(ground_B3GG, ball.packed())
 
     def advance(self, state: State) -> State:
@@ -217,7 +218,8 @@ class AnyBallNet(nn.Module):
     def observe(self, state: State) -> Observation:
         """Observation y_t of a state."""
         ball = Ball.unpacked(state.p)
-        positions, covariances = self.output(torch.cat([ball.centre[..., :2], ball.doubt], dim=-1))
+        numbers = torch.cat([ball.centre[..., :2], ball.covariance_params], dim=-1)
+        positions, covariances = self.output(numbers)
         return Observation(positions, covariances, ANGULAR_VELOCITY_UNIT * ball.spin)
 
     def roll_out(self, state: State, horizon: int) -> Observation:
@@ -230,8 +232,8 @@ class AnyBallNet(nn.Module):
             return stacked(steps)
 
 
-class SizedEncounters(Encounters):
-    """Encounters of balls whose radii differ: gaps are less both of them."""
+class SizedPairInteraction(PairInteraction):
+    """Pair interaction of balls whose radii differ: gaps are less both of them."""
 
     def reach(self, ball: Ball) -> Tensor:
         """Distance [B, N, N, 1] of the centres of two balls that touch."""

@@ -42,7 +42,7 @@ class BallMaps(NamedTuple):
     ground: Tensor
     """[B, 3, G, G]: see :mod:`training.data.rest_height_map`."""
     scene: Tensor
-    """[B, 2]: see :func:`training.networks.perception.measures_of`."""
+    """[B, 2]: see :func:`training.networks.perception.scene_constants_of`."""
 
 
 class Candidates(NamedTuple):

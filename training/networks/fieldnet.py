@@ -62,10 +62,10 @@ class Ball(NamedTuple):
     """Displacement [..., 3] per frame."""
     spin: Tensor
     """Angular velocity [..., 3] in units of 20 rad/s, world axes."""
-    doubt: Tensor
+    covariance_params: Tensor
     """Parameters [..., 3] (beta_1, beta_2, theta) of the position's covariance (paper, 3.3)."""
-    measures: Tensor
-    """Scene constants [..., 2], see :func:`training.networks.perception.measures_of`."""
+    scene_constants: Tensor
+    """Scene constants [..., 2], see :func:`training.networks.perception.scene_constants_of`."""
 
     @classmethod
     def unpacked(cls, p: Tensor) -> "Ball":
@@ -79,7 +79,7 @@ class Ball(NamedTuple):
     @property
     def radius(self) -> Tensor:
         """Radius [..., 1], halves of the frame."""
-        return radius_of(self.measures)
+        return radius_of(self.scene_constants)
 
     def changed(self, moved: Tensor, pushed: Tensor, turned: Tensor) -> "Ball":
         """Add a network's scaled outputs to centre, velocity and spin, clamped to their bounds."""
@@ -109,7 +109,7 @@ def unpacked(p: Tensor) -> tuple[Ball, EndpointTarget | None]:
     return Ball.unpacked(numbers), EndpointTarget(*target)
 
 
-class Encounters(nn.Module):
+class PairInteraction(nn.Module):
     """Pair interaction: the sum of the messages that each ball receives from nearby balls."""
 
     def __init__(self) -> None:
@@ -149,11 +149,11 @@ class Rolling(nn.Module):
     overshoot beyond the frame's border, where heightfields have elastic walls.
     """
 
-    def __init__(self, encounters: Encounters | None) -> None:
+    def __init__(self, pair_interaction: PairInteraction | None) -> None:
         super().__init__()
         hidden = 256
-        self.encounters = encounters
-        size = 3 * 3 + 3 * 2 + 5 * len(AHEAD) + 2 + (MESSAGE if encounters else 0)
+        self.pair_interaction = pair_interaction
+        size = 3 * 3 + 3 * 2 + 5 * len(AHEAD) + 2 + (MESSAGE if pair_interaction else 0)
         self.layers = nn.Sequential(
             nn.Linear(size, hidden), nn.SiLU(), nn.Linear(hidden, hidden), nn.SiLU()
         )
@@ -161,8 +161,8 @@ class Rolling(nn.Module):
         # Plain bounces and free rolling are linear in the inputs.
         self.linear = nn.Linear(size, 9, bias=False)
         # The inputs of the covariance parameters are detached: positions do not learn from them.
-        self.doubt = nn.Sequential(nn.Linear(size + 3, 64), nn.SiLU(), nn.Linear(64, 3))
-        for last in (self.change, self.linear, self.doubt[-1]):
+        self.covariance_change = nn.Sequential(nn.Linear(size + 3, 64), nn.SiLU(), nn.Linear(64, 3))
+        for last in (self.change, self.linear, self.covariance_change[-1]):
             assert isinstance(last, nn.Linear)
             for parameter in last.parameters():
                 nn.init.zeros_(parameter)
@@ -172,9 +172,9 @@ class Rolling(nn.Module):
         inputs = self._inputs(ball, ground_B3GG)
         change = of_each(self.change, of_each(self.layers, inputs)) + of_each(self.linear, inputs)
         moved, pushed, turned = change.split(3, dim=-1)
-        detached = torch.cat([ball.doubt, inputs], dim=-1).detach()
-        doubt = ball.doubt + of_each(self.doubt, detached)
-        rolled = ball._replace(centre=ball.centre + ball.velocity, doubt=doubt)
+        detached = torch.cat([ball.covariance_params, inputs], dim=-1).detach()
+        params = ball.covariance_params + of_each(self.covariance_change, detached)
+        rolled = ball._replace(centre=ball.centre + ball.velocity, covariance_params=params)
         return rolled.changed(moved, pushed, turned)
 
     def trajectory(self, state: State, horizon: int) -> list[Ball]:
@@ -200,10 +200,10 @@ class Rolling(nn.Module):
         rising = (flat[..., None, :] * normal_xy).sum(dim=-1) + velocity[..., 2:] * normal_z
         inputs = [
             ball.centre, 10 * velocity, ball.spin, 10 * beyond, hit, 10 * hit * flat,
-            normal_xy[..., 0], normal_xy[..., 1], normal_z, gap, 20 * rising, ball.measures,
+            normal_xy[..., 0], normal_xy[..., 1], normal_z, gap, 20 * rising, ball.scene_constants,
         ]  # fmt: skip
-        if self.encounters is not None:
-            inputs.append(self.encounters(ball))
+        if self.pair_interaction is not None:
+            inputs.append(self.pair_interaction(ball))
         return torch.cat(inputs, dim=-1)
 
 
@@ -224,8 +224,8 @@ class EndpointCorrection(nn.Module):
         )
         self.change = nn.Linear(hidden, 4 + 2 + 3)
         # As in Rolling, positions do not learn from the covariance parameters.
-        self.doubt = nn.Sequential(nn.Linear(size + 3, 64), nn.SiLU(), nn.Linear(64, 3))
-        for last in (self.change, self.doubt[-1]):
+        self.covariance_change = nn.Sequential(nn.Linear(size + 3, 64), nn.SiLU(), nn.Linear(64, 3))
+        for last in (self.change, self.covariance_change[-1]):
             assert isinstance(last, nn.Linear)
             nn.init.zeros_(last.weight)
             nn.init.zeros_(last.bias)
@@ -235,7 +235,7 @@ class EndpointCorrection(nn.Module):
         inputs = self._inputs(ball, ground_B3GG, target)
         change = of_each(self.change, of_each(self.layers, inputs))
         gain, aside, turned = change.split((4, 2, 3), dim=-1)
-        detached = torch.cat([ball.doubt, inputs], dim=-1).detach()
+        detached = torch.cat([ball.covariance_params, inputs], dim=-1).detach()
         u, miss = target.passed, target.miss
         size = miss.norm(dim=-1, keepdim=True)
         between = (gain.unflatten(-1, (2, 2)) * miss[..., None, :]).sum(dim=-1) + size * aside
@@ -243,7 +243,7 @@ class EndpointCorrection(nn.Module):
         return ball._replace(
             centre=torch.cat([ball.centre[..., :2] + moved, ball.centre[..., 2:]], dim=-1),
             spin=ball.spin + size * turned,
-            doubt=ball.doubt + of_each(self.doubt, detached),
+            covariance_params=ball.covariance_params + of_each(self.covariance_change, detached),
         )
 
     def _inputs(self, ball: Ball, ground_B3GG: Tensor, target: EndpointTarget) -> Tensor:
@@ -254,7 +254,7 @@ class EndpointCorrection(nn.Module):
         places = torch.stack([ball.centre[..., :2], straight], dim=-2)
         inputs = [
             u, u.square(), miss, (5 * size).clamp(max=1.5), 0.3 * (size + 1e-3).log(),
-            ball.centre, 10 * ball.velocity, ball.spin, ball.measures,
+            ball.centre, 10 * ball.velocity, ball.spin, ball.scene_constants,
             sampled(ground_B3GG, places).flatten(-2), target.final,
         ]  # fmt: skip
         return torch.cat(inputs, dim=-1)
@@ -280,12 +280,12 @@ class FieldNet(PerceptionNetwork):
         self.final_step = task.final_step
         self.tells_spin = task.angular_velocity
         self.perception = Perception(task.objects, zoomed)
-        self.rolling = Rolling(Encounters() if task.meetings else None)
+        self.rolling = Rolling(PairInteraction() if task.meetings else None)
         self.bend = None if task.final_step is None else EndpointCorrection()
-        self.first_doubt = nn.Linear(FEATURES, 3)
-        nn.init.zeros_(self.first_doubt.weight)
+        self.first_covariance = nn.Linear(FEATURES, 3)
+        nn.init.zeros_(self.first_covariance.weight)
         with torch.no_grad():
-            self.first_doubt.bias[:] = torch.tensor(
+            self.first_covariance.bias[:] = torch.tensor(
                 [logit_of_variance(FIRST_VARIANCE_PX2, LARGEST_VARIANCE_PX2)] * 2 + [0.0]
             )
         self.output = GaussianOutput(LARGEST_VARIANCE_PX2)
@@ -297,14 +297,14 @@ class FieldNet(PerceptionNetwork):
     def _perceive(
         self, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None
     ) -> tuple[State, PerceptionOutput]:
-        reading, finals = perceive(self.perception, frames_BKHW3, prompts_BN2)
-        return self.begin(reading, finals), reading
+        perceived, finals = perceive(self.perception, frames_BKHW3, prompts_BN2)
+        return self.begin(perceived, finals), perceived
 
-    def begin(self, reading: PerceptionOutput, finals_BN2: Tensor | None) -> State:
+    def begin(self, perceived: PerceptionOutput, finals_BN2: Tensor | None) -> State:
         """h_0 from the outputs of perception."""
-        with full_precision(reading.ground.device):
-            doubt = of_each(self.first_doubt, reading.features.detach())
-        return self.aimed(seen_state(reading, doubt), finals_BN2)
+        with full_precision(perceived.ground.device):
+            params = of_each(self.first_covariance, perceived.features.detach())
+        return self.aimed(seen_state(perceived, params), finals_BN2)
 
     def aimed(self, state: State, finals_BN2: Tensor | None) -> State:
         """Append the targets of the balls to a state, if there are positions in a final frame."""
@@ -314,9 +314,8 @@ class FieldNet(PerceptionNetwork):
         ball = Ball.unpacked(state.p)
         for _ in range(self.final_step):
             ball = self.rolling(ball, state.s)
-        target = EndpointTarget(
-            finals_BN2, finals_BN2 - ball.centre[..., :2], torch.zeros_like(ball.doubt[..., :1])
-        )
+        place = ball.centre[..., :2]
+        target = EndpointTarget(finals_BN2, finals_BN2 - place, torch.zeros_like(place[..., :1]))
         return State(state.s, torch.cat([state.p, *target], dim=-1))
 
     def advance(self, state: State) -> State:
@@ -333,7 +332,8 @@ class FieldNet(PerceptionNetwork):
         ball, target = unpacked(state.p)
         if target is not None and self.bend is not None:
             ball = self.bend(ball, state.s, target)
-        positions, covariances = self.output(torch.cat([ball.centre[..., :2], ball.doubt], dim=-1))
+        numbers = torch.cat([ball.centre[..., :2], ball.covariance_params], dim=-1)
+        positions, covariances = self.output(numbers)
         spins = ANGULAR_VELOCITY_UNIT * ball.spin if self.tells_spin else None
         return Observation(positions, covariances, spins)
 
@@ -352,9 +352,9 @@ class FieldNet(PerceptionNetwork):
         prompts_BN2
             See :meth:`training.networks.perception.Perception.forward`.
         """
-        state, reading = self._perceive(frames_BKHW3, prompts_BN2)
+        state, perceived = self._perceive(frames_BKHW3, prompts_BN2)
         with full_precision(state.s.device):
-            return self.roll_out(state, horizon)._replace(reading=reading)
+            return self.roll_out(state, horizon)._replace(perception_output=perceived)
 
     def forecast_from(self, state: State, horizon: int) -> tuple[Tensor, Tensor]:
         """Centres [B, N, T, 3] and angular velocities [B, N, T, 3] in rad/s, from a state on."""
@@ -364,15 +364,17 @@ class FieldNet(PerceptionNetwork):
         return centres, ANGULAR_VELOCITY_UNIT * spins
 
 
-def seen_state(reading: PerceptionOutput, doubt_BN3: Tensor) -> State:
+def seen_state(perceived: PerceptionOutput, covariance_params_BN3: Tensor) -> State:
     """State at t = 0 from the outputs of perception."""
-    measures = reading.measures[:, None].expand(-1, reading.centres.shape[1], -1)
-    ball = Ball(reading.centres, reading.velocities, reading.spins, doubt_BN3, measures)
-    return State(reading.ground, ball.packed())
+    constants = perceived.scene_constants[:, None].expand(-1, perceived.centres.shape[1], -1)
+    ball = Ball(
+        perceived.centres, perceived.velocities, perceived.spins, covariance_params_BN3, constants
+    )
+    return State(perceived.ground, ball.packed())
 
 
 def true_state(
-    centres_BNK3: Tensor, spins_BN3: Tensor, ground_B3GG: Tensor, measures_B2: Tensor
+    centres_BNK3: Tensor, spins_BN3: Tensor, ground_B3GG: Tensor, scene_constants_B2: Tensor
 ) -> State:
     """State at t = 0 from the true trajectory.
 
@@ -386,13 +388,13 @@ def true_state(
         Angular velocities at t = 0, rad/s.
     ground_B3GG
         Ground map, NaN where no ball can rest.
-    measures_B2
+    scene_constants_B2
         Scene constants.
     """
     now, before = centres_BNK3[:, :, -1], centres_BNK3[:, :, -2]
-    measures = measures_B2[:, None].expand(-1, now.shape[1], -1)
+    constants = scene_constants_B2[:, None].expand(-1, now.shape[1], -1)
     spins = spins_BN3 / ANGULAR_VELOCITY_UNIT
-    ball = Ball(now, now - before, spins, torch.zeros_like(now), measures)
+    ball = Ball(now, now - before, spins, torch.zeros_like(now), constants)
     return State(ground_B3GG.nan_to_num(), ball.packed())
 
 

@@ -227,11 +227,11 @@ class PatchRefiner(nn.Module):
         self.outline_weighing = nn.Sequential(
             nn.Linear(fitted, 96), nn.ReLU(), nn.Linear(96, PAIRS + 1)
         )
-        self.looks = nn.Linear(256, 1 + OBSERVED_FRAMES)
+        self.radius_and_visibility = nn.Linear(256, 1 + OBSERVED_FRAMES)
         self.sigmas = nn.Sequential(nn.Linear(seen, 64), nn.ReLU(), nn.Linear(64, 2))
         for last in (
-            self.correction, self.weighing[-1], self.outline_weighing[-1], self.looks,
-            self.sigmas[-1],
+            self.correction, self.weighing[-1], self.outline_weighing[-1],
+            self.radius_and_visibility, self.sigmas[-1],
         ):  # fmt: skip
             assert isinstance(last, nn.Linear)
             nn.init.zeros_(last.weight)
@@ -257,12 +257,12 @@ class PatchRefiner(nn.Module):
         registered, statistics = self.registration(stretched)
         known = torch.cat([seen.float(), statistics.flatten(1)], dim=-1)
         said = self.weighing(known).float().unflatten(-1, (PAIRS, 5))
-        looks = self.looks(seen).float()
+        values = self.radius_and_visibility(seen).float()
         sigmas = self.sigmas(known.detach()).float()
         features = self.features(seen).float()
         offsets = self.correction(seen).float().unflatten(-1, (OBSERVED_FRAMES, 2))
         offsets = offsets / PATCH_HALF_WIDTH
-        log_radius = looks[:, 0].clamp(-3, 1) - torch.log(torch.tensor(WIDTH_IN_RADII))
+        log_radius = values[:, 0].clamp(-3, 1) - torch.log(torch.tensor(WIDTH_IN_RADII))
         # The loss of the outline trains neither the rough centre nor the radius.
         rough, radius = offsets.detach(), log_radius.detach().exp()
         correction, fit, edges, reach = self.outline(stretched, rough, radius, seen)
@@ -281,6 +281,6 @@ class PatchRefiner(nn.Module):
         passed = passed - passed.mean(dim=1, keepdim=True)
         exact = middle + passed
         return Refined(
-            offsets, outline, edges, reach, exact, log_radius, looks[:, 1:], sigmas.clamp(-8, 2),
+            offsets, outline, edges, reach, exact, log_radius, values[:, 1:], sigmas.clamp(-8, 2),
             features,
         )  # fmt: skip

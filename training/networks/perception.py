@@ -56,14 +56,14 @@ def of_each(module: nn.Module, x: Tensor) -> Tensor:
     return module(x.flatten(0, -2)).unflatten(0, x.shape[:-1])
 
 
-def measures_of(half_width_m: float, radius_m: float) -> Float[np.ndarray, "2"]:
+def scene_constants_of(half_width_m: float, radius_m: float) -> Float[np.ndarray, "2"]:
     """Scene constants, scaled for the inputs of networks; the first is zero for bowls."""
     return np.array([5 * (half_width_m - BOWL_HALF_WIDTH_M), 5 * radius_m])
 
 
-def radius_of(measures: Tensor) -> Tensor:
-    """Ball radius [..., 1] in halves of the frame, from the constants of :func:`measures_of`."""
-    scale, radius = measures.split(1, dim=-1)
+def radius_of(scene_constants: Tensor) -> Tensor:
+    """Ball radius [..., 1] in halves of the frame, from :func:`scene_constants_of`."""
+    scale, radius = scene_constants.split(1, dim=-1)
     return (radius / 5) / (BOWL_HALF_WIDTH_M + scale / 5)
 
 
@@ -142,12 +142,12 @@ class CoarseDetector(nn.Module):
         self.refine_32 = ResidualConv(fine, fine)
         self.ground = nn.Conv2d(fine, 3, 3, padding=1)
         self.where = nn.Conv2d(middle, objects * OBSERVED_FRAMES * 3, 1)
-        self.measures = nn.Linear(coarse, 2)
+        self.scene_constants = nn.Linear(coarse, 2)
 
     def forward(self, frames_BKHW3: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Positions [B, N, K, 2], ground map [B, 3, 32, 32] and scene constants [B, 2]."""
-        ground, measures, _, at_16 = self.trunk(frames_BKHW3)
-        return _attended(self.where(at_16), self.shape), ground, measures
+        ground, scene_constants, _, at_16 = self.trunk(frames_BKHW3)
+        return _attended(self.where(at_16), self.shape), ground, scene_constants
 
     def trunk(self, frames_BKHW3: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Ground map, scene constants, and rectified features of 32 x 32 and of 16 x 16 cells."""
@@ -161,8 +161,8 @@ class CoarseDetector(nn.Module):
         at_32 = self.refine_32(at_32 + functional.interpolate(self.up_32(at_16), scale_factor=2.0))
         ground = self.ground(at_32.relu()).float()
         ground = torch.cat([ground[:, :2].tanh(), ground[:, 2:]], dim=1)
-        measures = self.measures(at_8.relu().float().mean(dim=(2, 3))).float()
-        return ground, measures, at_32.relu(), at_16.relu()
+        scene_constants = self.scene_constants(at_8.relu().float().mean(dim=(2, 3))).float()
+        return ground, scene_constants, at_32.relu(), at_16.relu()
 
 
 def patch_layers(size: int) -> nn.Sequential:
@@ -247,7 +247,7 @@ class ZoomedRefiner(nn.Module):
         self.size = nn.Linear(FEATURES, 1)
         nn.init.zeros_(self.size.weight)
         nn.init.zeros_(self.size.bias)
-        self.look = PositionRefiner(0)
+        self.refiner = PositionRefiner(0)
 
     def forward(
         self, images_BK3HW: Tensor, around_BNK2: Tensor, features_BNF: Tensor
@@ -256,7 +256,7 @@ class ZoomedRefiner(nn.Module):
         radii = USUAL_RADIUS * of_each(self.size, features_BNF)[..., 0].exp()
         radii = radii.clamp(SMALLEST_SEEN, LARGEST_SEEN)
         zoom = (radii.detach() + ZOOM_MARGIN) / PATCH_HALF_WIDTH
-        positions, _ = self.look(images_BK3HW, around_BNK2, zoom)
+        positions, _ = self.refiner(images_BK3HW, around_BNK2, zoom)
         return positions, radii
 
 
@@ -293,7 +293,7 @@ class Perception(nn.Module):
             Approximate positions of the selected balls in the last frame, halves of the frame; NaN
             for balls that the coarse detector finds.
         """
-        passes, features, ground, measures, radii = self._find(frames_BKHW3, prompts_BN2)
+        passes, features, ground, scene_constants, radii = self._find(frames_BKHW3, prompts_BN2)
         exact = passes[-1]
         with full_precision(exact.device):
             last = exact[:, :, -1]
@@ -301,7 +301,7 @@ class Perception(nn.Module):
             ahead = torch.stack([last + a * shifts[:, :, -1] for a in SAMPLE_AHEAD], dim=2)
             ground_features = sampled(ground, ahead.detach())
             normal_xy, height = ground_features[:, :, 0, :2], ground_features[:, :, 0, 2:]
-            constants = measures[:, None].expand(-1, last.shape[1], -1)
+            constants = scene_constants[:, None].expand(-1, last.shape[1], -1)
             rise = rise_along(normal_xy, shifts[:, :, -1])
             moving = torch.cat([shifts[:, :, -1], rise], dim=-1)
             rolling = rolling_spin(normal_xy, moving, radius_of(constants))
@@ -316,7 +316,7 @@ class Perception(nn.Module):
             velocities = moving + torch.cat([flat, 0.1 * change[..., 5:6]], dim=-1)
             spins = rolling + change[..., 6:]
         return PerceptionOutput(
-            passes, ground, measures, centres, velocities, spins, features, radii
+            passes, ground, scene_constants, centres, velocities, spins, features, radii
         )
 
     def at_rest(self, frame_BHW3: Tensor) -> Tensor:
@@ -331,7 +331,7 @@ class Perception(nn.Module):
         self, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None
     ) -> tuple[tuple[Tensor, ...], Tensor, Tensor, Tensor, Tensor | None]:
         """Positions after each pass, features, ground map, scene constants, radii if zoomed."""
-        rough, ground, measures = self.first(frames_BKHW3)
+        rough, ground, scene_constants = self.first(frames_BKHW3)
         if prompts_BN2 is not None:
             prompts = prompts_BN2[:, :, None].expand_as(rough)
             rough = torch.where(prompts.isnan(), rough, prompts)
@@ -339,16 +339,16 @@ class Perception(nn.Module):
         near, _ = self.closer(images, rough)
         exact, features = self.closer(images, near)
         if self.zoomed is None:
-            return (rough, near, exact), features, ground, measures, None
+            return (rough, near, exact), features, ground, scene_constants, None
         zoomed, radii = self.zoomed(images, exact, features)
-        return (rough, near, exact, zoomed), features, ground, measures, radii
+        return (rough, near, exact, zoomed), features, ground, scene_constants, radii
 
 
 class PerceptionNetwork(Network):
     """Base of networks whose initial state comes from the outputs of one perception."""
 
     @abstractmethod
-    def begin(self, reading: PerceptionOutput, finals_BN2: Tensor | None) -> State:
+    def begin(self, perceived: PerceptionOutput, finals_BN2: Tensor | None) -> State:
         """h_0 from perception outputs and, with a final frame, the positions there."""
 
 
@@ -356,10 +356,10 @@ def perceive(
     perception: Perception, frames_BKHW3: Tensor, prompts_BN2: Tensor | None = None
 ) -> tuple[PerceptionOutput, Tensor | None]:
     """Return the outputs for the observed frames, and final positions [B, N, 2] if given."""
-    reading: PerceptionOutput = perception(frames_BKHW3[:, :OBSERVED_FRAMES], prompts_BN2)
+    perceived: PerceptionOutput = perception(frames_BKHW3[:, :OBSERVED_FRAMES], prompts_BN2)
     if frames_BKHW3.shape[1] == OBSERVED_FRAMES:
-        return reading, None
-    return reading, perception.at_rest(frames_BKHW3[:, OBSERVED_FRAMES])
+        return perceived, None
+    return perceived, perception.at_rest(frames_BKHW3[:, OBSERVED_FRAMES])
 
 
 def _attended(values: Tensor, shape: tuple[int, int]) -> Tensor:

@@ -67,7 +67,7 @@ class Spread(nn.Module):
         """s_0 of an initial state."""
         ball = Ball.unpacked(initial.state.p)
         numbers = torch.cat([ball.centre[..., 2:], 10 * ball.velocity, ball.spin], dim=-1)
-        everywhere = torch.cat([numbers, ball.measures], dim=-1)[..., None, None]
+        everywhere = torch.cat([numbers, ball.scene_constants], dim=-1)[..., None, None]
         batch, objects = everywhere.shape[:2]
         ground = functional.pixel_unshuffle(initial.state.s, FOLD)[:, None]
         relative = self._from_cells(ball.centre[..., :2])
@@ -119,9 +119,9 @@ class PerceptionStateEncoder(nn.Module):
             return self.spread(initial)
 
 
-def initial_state_of(reading: PerceptionOutput, finals_BN2: Tensor | None) -> InitialState:
+def initial_state_of(perceived: PerceptionOutput, finals_BN2: Tensor | None) -> InitialState:
     """Return the initial state of a forecast; its covariance parameters are zero and not used."""
-    return InitialState(seen_state(reading, torch.zeros_like(reading.centres)), finals_BN2)
+    return InitialState(seen_state(perceived, torch.zeros_like(perceived.centres)), finals_BN2)
 
 
 class AttendedTransition(nn.Module):
@@ -188,10 +188,10 @@ class AttendedTransition(nn.Module):
 class PerceptionStatePredictor(Predictor, PerceptionNetwork):
     """Predictor on a state that perception initialises."""
 
-    def begin(self, reading: PerceptionOutput, finals_BN2: Tensor | None) -> State:
+    def begin(self, perceived: PerceptionOutput, finals_BN2: Tensor | None) -> State:
         """h_0 from the outputs of perception."""
         assert isinstance(self.encoder, PerceptionStateEncoder)
-        s = self.encoder.begin(initial_state_of(reading, finals_BN2))
+        s = self.encoder.begin(initial_state_of(perceived, finals_BN2))
         return State(s, self.motion.start(s))
 
 

@@ -49,8 +49,8 @@ class PerceptionOutput(NamedTuple):
     """Positions [B, N, K, 2] in the observed frames, after each pass: coarse, refined, zoomed."""
     ground: Tensor
     """Map [B, 3, G, G] of the resting heights, see ``training.data.rest_height_map``."""
-    measures: Tensor
-    """Scene constants [B, 2], see :func:`training.networks.perception.measures_of`."""
+    scene_constants: Tensor
+    """Scene constants [B, 2], see :func:`training.networks.perception.scene_constants_of`."""
     centres: Tensor
     """Positions [B, N, 3] of the centres at t = 0."""
     velocities: Tensor
@@ -74,7 +74,7 @@ class Observation(NamedTuple):
     covariances: Tensor | None
     angular_velocities: Tensor | None
     final_positions: Tensor | None = None
-    reading: PerceptionOutput | None = None
+    perception_output: PerceptionOutput | None = None
 
     def outputs(self) -> dict[OutputName, Tensor]:
         """Return the outputs that the network has, by name, in the order of ``OUTPUTS``."""

@@ -121,7 +121,7 @@ class RefinementLoss:
     displacement = 2.0
     radius = 1.0
     visible = 0.5
-    doubt = 0.2
+    covariance = 0.2
     height = 0.5
     velocity = 3.0
     spin = 0.3
@@ -164,7 +164,7 @@ class RefinementLoss:
             "radius": self.radius * (there * unlike).sum() / count,
             # Where there is no ball, that is what there is to say.
             "visible": self.visible * hidden.mean(),
-            "doubt": self.doubt * (there * self._doubt(seen, off)).sum() / count,
+            "covariance": self.covariance * (there * self._nll(seen, off)).sum() / count,
         }
         return parts | self._beginning(balls, batch, count)
 
@@ -204,7 +204,7 @@ class RefinementLoss:
             "spins": self.spin * turned.sum() / count,
         }
 
-    def _doubt(self, seen: Seen, off: Tensor) -> Tensor:
+    def _nll(self, seen: Seen, off: Tensor) -> Tensor:
         last, before = off[:, :, -1].detach(), off[:, :, -2].detach()
         errors = torch.stack([last, last - before], dim=2).square().sum(dim=-1)
         sigmas = seen.log_sigmas

@@ -134,7 +134,7 @@ class SpinLoss:
         return self._weight * (weights * error).mean()
 
 
-class DoubtLoss:
+class DetachedNllLoss:
     """Distances for the positions, likelihood for the covariances alone.
 
     The likelihood takes the positions as they are, so uncertainty costs them nothing.
@@ -148,34 +148,34 @@ class DoubtLoss:
     def __call__(self, forecast: Observation, positions_BNT2: Tensor) -> Tensor:
         """Loss of a forecast in pixels, and nats times the weight."""
         settled = forecast._replace(positions=forecast.positions.detach())
-        doubt = self._weight * self._likelihood(settled, positions_BNT2)
-        return self._positions(forecast, positions_BNT2) + doubt
+        likelihood = self._weight * self._likelihood(settled, positions_BNT2)
+        return self._positions(forecast, positions_BNT2) + likelihood
 
 
-class ReadingLoss:
+class PerceptionLoss:
     """Perception outputs against the truth: pixels, weighed by their use in forecasts.
 
-    Closer looks weigh more than the first, velocities most: their errors grow with every step. What
-    is NaN in the truth is not known, and costs nothing: of footage there are only places.
+    Closer passes weigh more than the first, velocities most: their errors grow with every step.
+    NaN in the truth is not known and costs nothing: of footage there are only places.
 
     Parameters
     ----------
     within_reach
-        Whether a closer look is judged only where the look before it left the ball in its patch:
+        Whether a closer pass is judged only where the pass before it left the ball in its patch:
         what it says of patches without a ball is noise.
     """
 
-    looks = (0.3, 0.5, 1.5, 1.5)
-    """The first look's, the closer looks' and, where there is one, the zoomed look's."""
+    passes = (0.3, 0.5, 1.5, 1.5)
+    """Weights of the first pass, the closer passes and, where there is one, the zoomed pass."""
     displacement = 1.5
-    """Of what lies between two seen frames, by the last look: errors that all frames share do not
+    """Of what lies between two seen frames, by the last pass: errors that all frames share do not
     matter to it."""
     radius = 2.0
     height = 0.5
     velocity = 3.0
     ground = 15.0
     way = 30.0
-    measures = 2.0
+    scene_constants = 2.0
     rounding = 0.1
 
     def __init__(self, *, within_reach: bool = False) -> None:
@@ -183,12 +183,12 @@ class ReadingLoss:
 
     def __call__(
         self,
-        reading: PerceptionOutput,
+        perceived: PerceptionOutput,
         scene_targets: tuple[Tensor, Tensor, Tensor],
         shake_BK2: Tensor | None = None,
         radii_BN: Tensor | None = None,
     ) -> Tensor:
-        """Loss of a reading against the fields of :class:`training.data.windows.SceneTargets`.
+        """Loss against the fields of :class:`training.data.windows.SceneTargets`.
 
         Parameters
         ----------
@@ -198,30 +198,34 @@ class ReadingLoss:
         radii_BN
             Of the balls in the picture, halves of the frame.
         """
-        centres, ground, measures = scene_targets
+        centres, ground, scene_constants = scene_targets
         seen, now = centres[:, :, :OBSERVED_FRAMES, :2], centres[:, :, OBSERVED_FRAMES - 1]
         if shake_BK2 is not None:
             seen = seen + shake_BK2[:, None]
         before = centres[:, :, OBSERVED_FRAMES - 2]
-        judged = self._judged(reading, seen)
+        judged = self._judged(perceived, seen)
         found = judged[-1].amin(dim=2)
-        off = known_difference(reading.centres, now)
+        off = known_difference(perceived.centres, now)
         loss = self._pixels(off[..., :2], found)
         loss = loss + self.height * PIXEL_UNIT * (found * off[..., 2].abs()).mean()
-        looks = zip(self.looks, reading.seen_positions, judged, strict=False)
-        for weight, positions, share in looks:
+        passes = zip(self.passes, perceived.seen_positions, judged, strict=False)
+        for weight, positions, share in passes:
             loss = loss + weight * self._pixels(positions - seen, share)
-        moved = reading.seen_positions[-1].diff(dim=2) - seen.diff(dim=2)
+        moved = perceived.seen_positions[-1].diff(dim=2) - seen.diff(dim=2)
         loss = loss + self.displacement * self._pixels(moved, found[..., None])
-        if reading.radii is not None and radii_BN is not None:
-            unlike = known_difference(reading.radii.log(), radii_BN.log())
+        if perceived.radii is not None and radii_BN is not None:
+            unlike = known_difference(perceived.radii.log(), radii_BN.log())
             loss = loss + self.radius * (found * unlike.abs()).mean()
-        off = known_difference(reading.velocities, now - before)
+        off = known_difference(perceived.velocities, now - before)
         loss = loss + self.velocity * self._pixels(off, found)
-        unlike = known_difference(reading.ground, ground).abs()
+        unlike = known_difference(perceived.ground, ground).abs()
         loss = loss + self.ground * unlike.sum(dim=1).mean()
-        loss = loss + self.way * self._along_the_way(reading.ground, ground, centres)
-        return loss + self.measures * known_difference(reading.measures, measures).abs().mean()
+        loss = loss + self.way * self._along_the_way(perceived.ground, ground, centres)
+        return (
+            loss
+            + self.scene_constants
+            * known_difference(perceived.scene_constants, scene_constants).abs().mean()
+        )
 
     def _along_the_way(self, read: Tensor, ground: Tensor, centres: Tensor) -> Tensor:
         """Mean error of the ground where the balls will be: more than elsewhere depends on it."""
@@ -230,17 +234,17 @@ class ReadingLoss:
         unlike = sampled(read, points) - sampled(ground.nan_to_num(), points)
         return (unlike.abs() * (sampled(known, points) > 0.999)).sum(dim=-1).mean()
 
-    def _judged(self, reading: PerceptionOutput, seen: Tensor) -> list[Tensor]:
-        """Return, for every look, where it is judged: 1 or 0 [B, N, K]."""
-        looks = [positions.detach() for positions in reading.seen_positions]
-        everywhere = torch.ones_like(looks[0][..., 0])
+    def _judged(self, perceived: PerceptionOutput, seen: Tensor) -> list[Tensor]:
+        """Return, for every pass, where it is judged: 1 or 0 [B, N, K]."""
+        passes = [positions.detach() for positions in perceived.seen_positions]
+        everywhere = torch.ones_like(passes[0][..., 0])
         if not self._within_reach:
-            return [everywhere] * len(looks)
-        off = [(positions - seen).abs().amax(dim=-1) for positions in looks]
+            return [everywhere] * len(passes)
+        off = [(positions - seen).abs().amax(dim=-1) for positions in passes]
         judged = [everywhere, *((before < PATCH_HALF_WIDTH).float() for before in off[:2])]
-        if len(looks) > len(judged):
-            assert reading.radii is not None
-            reach = reading.radii.detach()[..., None] + ZOOM_MARGIN
+        if len(passes) > len(judged):
+            assert perceived.radii is not None
+            reach = perceived.radii.detach()[..., None] + ZOOM_MARGIN
             judged.append(judged[-1] * (off[2] < reach))
         return judged
 

@@ -1,1 +1,1 @@
-"""Campaigns of trainings, on one machine or on Ray."""
+"""Automatic training in rounds, on one machine or on Ray."""

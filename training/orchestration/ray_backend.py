@@ -12,7 +12,7 @@ from ray.train.torch import TorchConfig, TorchTrainer
 
 from training.common.settings import RUNS_VARIABLE, runs_folder
 from training.data.shards import SHARDS_PER_WORKER, Makers, Shard
-from training.orchestration.campaign import Outcome, Round
+from training.orchestration.auto_training import Outcome, Round
 
 ALWAYS = -1
 """Failures after which Ray still tries again."""
@@ -90,7 +90,7 @@ def train_rounds(
     Parameters
     ----------
     folder
-        Of the campaign.
+        Of the rounds.
     train
         Trains one of them, from its last checkpoint on.
 
@@ -109,7 +109,7 @@ def train_rounds(
             trial,
             param_space={"round": tune.grid_search(list(range(len(rounds))))},
             run_config=tune.RunConfig(
-                name="campaign",
+                name="auto-train",
                 storage_path=str(folder / STORED),
                 failure_config=tune.FailureConfig(max_failures=ALWAYS),
             ),

@@ -76,6 +76,6 @@ def warm_network(one_ball: Mapping[str, Tensor], several: Mapping[str, Tensor]) 
             wide = several[name] if several[name].shape == shape else torch.zeros(shape)
             value = torch.cat([value, wide[:, value.shape[1] :]], dim=1)
         taken[new] = value
-    taken |= {name: value for name, value in several.items() if "encounters" in name}
+    taken |= {name: value for name, value in several.items() if "pair_interaction" in name}
     network.load_state_dict(own | taken)
     return network

@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-from training.data.looks import Looks
+from training.data.appearance_mixture import AppearanceMixture
 from training.data.shards import Source, Variety
-from training.objectives.losses import ReadingLoss
+from training.objectives.losses import PerceptionLoss
 from training.recipes.field import field_one_ball
 from training.recipes.recipe import DataShare, Milestone, Recipe
 
@@ -42,14 +42,14 @@ def field_one_ball_appearance() -> Recipe:
         curriculum=(Milestone(0, 1), Milestone(0.98, 1), Milestone(1, 20)),
         explicit=replace(
             recipe.explicit,
-            reading=ReadingLoss(within_reach=True),
+            perception=PerceptionLoss(within_reach=True),
             motion=None,
-            practice=0,
+            true_state_windows=0,
             curriculum=(Milestone(0, 1),),
         ),
-        frozen=("rolling.", "first_doubt."),
+        frozen=("rolling.", "first_covariance."),
         earlier_horizon=40,
         learning_rate=8e-4,
-        looks=Looks(),
+        appearances=AppearanceMixture(),
         seed=7,
     )

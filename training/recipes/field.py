@@ -6,11 +6,11 @@ from rollcast.scene import SMALL_RADIUS_M
 from training.data.shards import Source
 from training.networks.task import Task
 from training.objectives.losses import (
+    DetachedNllLoss,
     DistanceLoss,
-    DoubtLoss,
     LikelihoodLoss,
     MotionLoss,
-    ReadingLoss,
+    PerceptionLoss,
     SpinLoss,
 )
 from training.recipes.recipe import DataShare, Explicit, Member, Milestone, Recipe, continued
@@ -41,9 +41,9 @@ def field_one_ball() -> Recipe:
         sequences=320_000,
         curriculum=(Milestone(0.3, 1), Milestone(0.5, 20), Milestone(0.7, 20), Milestone(0.9, 40)),
         explicit=Explicit(
-            ReadingLoss(),
+            PerceptionLoss(),
             MotionLoss(halving=8),
-            practice=128,
+            true_state_windows=128,
             curriculum=(Milestone(0, 2), Milestone(0.3, 20)),
         ),
         learning_rate=1.5e-3,
@@ -70,8 +70,10 @@ def field_one_ball_seeing() -> Recipe:
         name="field-one-ball-seeing",
         sequences=384_000,
         curriculum=(Milestone(0, 1), Milestone(0.97, 1), Milestone(1, 20)),
-        explicit=replace(recipe.explicit, motion=None, practice=0, curriculum=(Milestone(0, 1),)),
-        frozen=("rolling.", "first_doubt."),
+        explicit=replace(
+            recipe.explicit, motion=None, true_state_windows=0, curriculum=(Milestone(0, 1),)
+        ),
+        frozen=("rolling.", "first_covariance."),
         seed=6,
     )
 
@@ -90,7 +92,9 @@ def field_one_ball_rolling() -> Recipe:
         name="field-one-ball-rolling",
         sequences=96_000,
         curriculum=horizons,
-        explicit=replace(recipe.explicit, reading=None, practice=64, curriculum=horizons),
+        explicit=replace(
+            recipe.explicit, perception=None, true_state_windows=64, curriculum=horizons
+        ),
         frozen=("perception.",),
         learning_rate=3e-4,
         gradient_clip=0.5,
@@ -113,7 +117,7 @@ def field_one_ball_covariance() -> Recipe:
         sequences=384_000,
         curriculum=(Milestone(0, 40),),
         explicit=None,
-        frozen=("perception.", "first_doubt.", *(f"rolling.{part}" for part in motion)),
+        frozen=("perception.", "first_covariance.", *(f"rolling.{part}" for part in motion)),
         replay_windows=24_000,
         batch_size=256,
         learning_rate=2e-3,
@@ -131,7 +135,7 @@ def field_several_balls(objects: int) -> Recipe:
     """
     fresh = field_one_ball()
     assert fresh.explicit is not None
-    practice = replace(
+    explicit = replace(
         fresh.explicit, curriculum=(Milestone(0, 2), Milestone(0.4, 15)), motion_rate=0.3
     )
     return replace(
@@ -144,7 +148,7 @@ def field_several_balls(objects: int) -> Recipe:
         task=Task(objects),
         sequences=144_000,
         curriculum=(Milestone(0.5, 1), Milestone(0.6, 15), Milestone(0.8, 30)),
-        explicit=practice,
+        explicit=explicit,
     )
 
 
@@ -173,7 +177,7 @@ def _interpolation(recipe: Recipe, name: str, member: str, final_step: int) -> R
         sequences=640_000,
         curriculum=(Milestone(0, final_step + 1),),
         explicit=None,
-        frozen=("perception.", "rolling.", "first_doubt."),
+        frozen=("perception.", "rolling.", "first_covariance."),
         replay_windows=24_000,
         batch_size=256,
         learning_rate=2e-3,
@@ -186,4 +190,4 @@ def _explicit(name: str, halving: float, outlier: float = 3.0) -> Member:
     # The paper's regulariser would hold a variance at 16 px^2 where the errors' is 100 px^2.
     likelihood = LikelihoodLoss(halving, regulariser=0.0, outlier=outlier)
     distance = DistanceLoss(halving, rounding=0.1)
-    return Member(name, "fieldnet", DoubtLoss(distance, likelihood, weight=0.2))
+    return Member(name, "fieldnet", DetachedNllLoss(distance, likelihood, weight=0.2))

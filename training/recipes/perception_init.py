@@ -28,7 +28,7 @@ def perception_init_one_ball() -> Recipe:
         data=FIELD_DATA,
         sequences=160_000,
         curriculum=horizons,
-        explicit=Explicit(None, None, practice=32, curriculum=horizons),
+        explicit=Explicit(None, None, true_state_windows=32, curriculum=horizons),
         frozen=("encoder.perception.",),
         replay_windows=24_000,
         learning_rate=1.5e-3,

@@ -8,12 +8,12 @@ import numpy as np
 import torch
 
 from rollcast.scene import Scenario
-from training.data.looks import Looks
+from training.data.appearance_mixture import AppearanceMixture
 from training.data.shards import Source
 from training.networks.presets import PRESETS
 from training.networks.recurrent import Family
 from training.networks.task import Task
-from training.objectives.losses import Loss, MotionLoss, ReadingLoss, SpinLoss
+from training.objectives.losses import Loss, MotionLoss, PerceptionLoss, SpinLoss
 from training.objectives.schedules import Cosine, Schedule
 
 
@@ -71,12 +71,12 @@ class Explicit:
 
     Attributes
     ----------
-    reading
+    perception
         Loss of the perception outputs; None for frozen perception.
     motion
         Loss of balls that are moved from their true states over the true ground, so that motion is
         trained before the perception is accurate; None uses the loss of forecasts.
-    practice
+    true_state_windows
         Number of windows from true states per batch; they need no rendering.
     curriculum
         Horizons of the windows from true states.
@@ -85,9 +85,9 @@ class Explicit:
         destabilise trained motion.
     """
 
-    reading: ReadingLoss | None
+    perception: PerceptionLoss | None
     motion: MotionLoss | None
-    practice: int
+    true_state_windows: int
     curriculum: tuple[Milestone, ...]
     motion_rate: float = 1.0
 
@@ -139,8 +139,8 @@ class Recipe:
     earlier_horizon: int = 0
     """Horizon of the training of the ``frozen`` parts."""
 
-    looks: Looks | None = None
-    """What training windows look like; None for the paper's look alone."""
+    appearances: AppearanceMixture | None = None
+    """Appearance of training windows; None for the paper's appearance alone."""
 
     def build(self) -> Family:
         """Create the untrained networks."""
@@ -165,7 +165,7 @@ def continued(recipe: Recipe) -> Recipe:
     """
     longest = recipe.trained_horizon
     explicit = recipe.explicit
-    if explicit is None or explicit.reading is None:
+    if explicit is None or explicit.perception is None:
         whole = (Milestone(0, longest),)
         if explicit is not None:
             explicit = replace(explicit, curriculum=whole)
@@ -175,7 +175,7 @@ def continued(recipe: Recipe) -> Recipe:
         curriculum=(Milestone(0.7, 1), Milestone(0.75, longest // 2), Milestone(0.88, longest)),
         explicit=replace(
             explicit,
-            practice=64,
+            true_state_windows=64,
             curriculum=(Milestone(0, longest // 2),),
             motion_rate=0.1,
         ),

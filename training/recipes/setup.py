@@ -4,10 +4,10 @@ from dataclasses import replace
 
 from training.networks.task import Task
 from training.objectives.losses import (
+    DetachedNllLoss,
     DistanceLoss,
-    DoubtLoss,
     LikelihoodLoss,
-    ReadingLoss,
+    PerceptionLoss,
     SpinLoss,
 )
 from training.recipes.recipe import Explicit, Member, Milestone, Recipe
@@ -24,7 +24,7 @@ def setup(objects: int) -> Recipe:
     """
     name = f"setup-{objects}"
     likelihood = LikelihoodLoss(halving=15, regulariser=0.0, outlier=5.0)
-    loss = DoubtLoss(DistanceLoss(halving=15, rounding=0.1), likelihood, weight=0.2)
+    loss = DetachedNllLoss(DistanceLoss(halving=15, rounding=0.1), likelihood, weight=0.2)
     horizons = (Milestone(0, 1), Milestone(0.15, 2), Milestone(0.5, T_TRAIN), Milestone(0.8, T_GEN))
     return Recipe(
         name=f"setup-{objects}-balls" if objects > 1 else "setup-one-ball",
@@ -36,7 +36,7 @@ def setup(objects: int) -> Recipe:
         task=Task(objects, angular_velocity=False),
         sequences=32_000,
         curriculum=horizons,
-        explicit=Explicit(ReadingLoss(), None, practice=0, curriculum=horizons),
+        explicit=Explicit(PerceptionLoss(), None, true_state_windows=0, curriculum=horizons),
         learning_rate=1e-3,
     )
 
@@ -54,7 +54,7 @@ def setup_seeing(objects: int) -> Recipe:
         name=f"{recipe.name}-seeing",
         curriculum=horizons,
         explicit=replace(recipe.explicit, curriculum=horizons),
-        frozen=("rolling.", "first_doubt."),
+        frozen=("rolling.", "first_covariance."),
         average_decay=0.995,
     )
 

@@ -60,7 +60,7 @@ def draw_errors(curves: Sequence[Curve], path: Path) -> None:
             if baseline:
                 axes.plot(steps, middle, baseline, color="#666666", label=curve.method)
                 continue
-            style, color = _look(methods.index(curve.method))
+            style, color = _style(methods.index(curve.method))
             axes.plot(steps, middle, linestyle=style, color=color, label=curve.method)
             shade = 0.05 if beside else 0.15
             axes.fill_between(steps, low, high, color=color, alpha=shade, linewidth=0)
@@ -140,7 +140,7 @@ def draw_conditions(results: Results, path: Path) -> None:
             for axes, at in zip(row, dict.fromkeys(cell.at for cell in cells), strict=True):
                 for place, method in enumerate(methods):
                     own = [cell for cell in cells if (cell.method, cell.at) == (method, at)]
-                    color = "#666666" if method in _BASELINE_STYLES else _look(place)[1]
+                    color = "#666666" if method in _BASELINE_STYLES else _style(place)[1]
                     axes.errorbar(
                         [conditions.index(cell.condition) for cell in own],
                         [cell.position_error_px for cell in own],
@@ -198,7 +198,7 @@ def _running_median(values: np.ndarray) -> np.ndarray:
     )
 
 
-def _look(index: int) -> tuple[Any, str]:
+def _style(index: int) -> tuple[Any, str]:
     """Line style and colour of a method."""
     rounds, place = divmod(index, len(PALETTE))
     return _LINES[rounds], PALETTE[place]
@@ -217,7 +217,7 @@ def draw_calibration(curves: Sequence[Curve], path: Path) -> None:
             for curve in measured:
                 if curve.scenario == scenario:
                     assert curve.coverage is not None
-                    style, color = _look(methods.index(curve.method))
+                    style, color = _style(methods.index(curve.method))
                     axes.plot(
                         LEVELS, curve.coverage, linestyle=style, color=color, label=curve.method
                     )

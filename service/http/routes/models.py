@@ -64,7 +64,7 @@ def _entry(model: Model) -> ModelEntry:
 def _detail(model: Model, registry: Registry) -> ModelDetail:
     return ModelDetail(
         **dict(_entry(model)),
-        versions=[sibling.version for sibling in registry.versions(model.name)],
+        versions=[other.version for other in registry.versions(model.name)],
         licence=None if model.manifest is None else model.manifest.licence,
         card=model.card,
     )

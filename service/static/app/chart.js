@@ -6,7 +6,7 @@ import { faded, onPage } from "./palette.js";
 import { FRAME_RATE_HZ } from "./state.js";
 
 const HEIGHT_PX = 240;
-/** Doubt that has lost all bounds leaves the chart at this multiple of the largest error. */
+/** Uncertainty that has lost all bounds leaves the chart at this multiple of the largest error. */
 const MOST_OF_ERROR = 3;
 
 export class Chart {

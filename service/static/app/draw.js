@@ -1,9 +1,9 @@
 /** One moment of footage with the forecasts over it, on any canvas: the stage's or a download's. */
 
 import { ellipseOf, MOST } from "./figures.js";
-import { CASING, DOUBTFUL, faded, ON_PICTURES, TRUTH } from "./palette.js";
+import { CASING, UNCERTAIN, faded, ON_PICTURES, TRUTH } from "./palette.js";
 import { LAST_SEEN } from "./state.js";
-import { isDoubtful } from "./verdict.js";
+import { isUncertain } from "./verdict.js";
 
 /** How many ellipses along the way leave the ball of a running picture in sight. */
 const LIVE_ELLIPSES = 6;
@@ -31,7 +31,7 @@ export function drawMoment(context, side, picture) {
   for (const forecast of picture.forecasts) drawSeen(pen, forecast, picture.index);
   const step = picture.index - LAST_SEEN;
   if (picture.ellipses) {
-    for (const forecast of picture.forecasts) drawDoubt(pen, forecast, step);
+    for (const forecast of picture.forecasts) drawUncertainty(pen, forecast, step);
   }
   for (const ball of picture.truth ?? []) {
     drawPath(pen, ball.positions.slice(0, picture.index + 1), TRUTH, 2, [1, 5]);
@@ -67,7 +67,7 @@ export function drawLive(context, side, picture) {
   const { forecast, step } = picture;
   if (forecast) {
     const last = forecast.times.length - 1;
-    if (picture.ellipses) drawDoubt(pen, forecast, last, Math.ceil(last / LIVE_ELLIPSES));
+    if (picture.ellipses) drawUncertainty(pen, forecast, last, Math.ceil(last / LIVE_ELLIPSES));
     for (const [index, ball] of forecast.objects.entries()) {
       const color = colorOf(forecast, index);
       drawPath(pen, ball.positions, color, 3);
@@ -138,7 +138,7 @@ function drawPoints({ context, scale, unit }, points) {
 }
 
 function colorOf(forecast, index) {
-  return isDoubtful(forecast, index) ? DOUBTFUL : ON_PICTURES[forecast.slot];
+  return isUncertain(forecast, index) ? UNCERTAIN : ON_PICTURES[forecast.slot];
 }
 
 function drawFrame(context, width, height, { frame, lastFrame }) {
@@ -153,7 +153,7 @@ function drawFrame(context, width, height, { frame, lastFrame }) {
 }
 
 /** Ellipses of 95 % along the way, and of 95 % and 50 % for now. */
-function drawDoubt({ context, scale, unit }, forecast, step, every = 2) {
+function drawUncertainty({ context, scale, unit }, forecast, step, every = 2) {
   for (const [index, ball] of forecast.objects.entries()) {
     const color = colorOf(forecast, index);
     const last = Math.min(step, ball.positions.length - 1);

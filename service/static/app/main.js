@@ -234,9 +234,9 @@ function leaveEditing() {
 let shownRings = 0;
 /** Say on the picture how far to trust it, and draw rings where balls were seen. */
 function showVerdict(forecasts) {
-  const { text, isDoubt } = verdictOf(forecasts);
+  const { text, isWarning } = verdictOf(forecasts);
   if (byId("verdict").textContent !== text) byId("verdict").textContent = text;
-  byId("verdict").dataset.doubt = String(isDoubt);
+  byId("verdict").dataset.warning = String(isWarning);
   const rings = forecasts.filter(({ done }) => done?.objects.some(({ seen }) => seen)).length;
   if (session.take && rings !== shownRings) {
     stage.showSeen(session.take, session.finalIndex, forecasts);

@@ -1,4 +1,4 @@
-/** How far a forecast is to be trusted: a sentence on the picture, and which balls are doubtful. */
+/** How far a forecast is to be trusted: a sentence on the picture, and which balls are uncertain. */
 
 /** Score from which on a ball counts as found. */
 const SURE = 0.5;
@@ -14,7 +14,7 @@ export function isOutOfDistribution({ done }) {
 }
 
 /** Whether the path of a ball is drawn in grey. */
-export function isDoubtful(forecast, index) {
+export function isUncertain(forecast, index) {
   return isOutOfDistribution(forecast) || !isFound(forecast.done?.objects[index]);
 }
 
@@ -24,19 +24,19 @@ function isFound(ball) {
 
 /**
  * What is said on the picture.
- * @returns {{text: string, isDoubt: boolean}} an empty text if there is nothing to say
+ * @returns {{text: string, isWarning: boolean}} an empty text if there is nothing to say
  */
 export function verdictOf(forecasts) {
   const answered = forecasts.filter(({ done }) => done);
   const lines = answered.map((forecast) => sentenceOf(forecast)).filter(({ text }) => text);
-  const told = lines.find(({ isDoubt }) => isDoubt) ?? lines[0] ?? { text: "", isDoubt: false };
+  const told = lines.find(({ isWarning }) => isWarning) ?? lines[0] ?? { text: "", isWarning: false };
   const whose = answered.length > 1 && told.text ? `${told.label}: ` : "";
-  return { text: whose + told.text, isDoubt: told.isDoubt };
+  return { text: whose + told.text, isWarning: told.isWarning };
 }
 
 function sentenceOf(forecast) {
   const { done, label } = forecast;
-  const say = (text, isDoubt) => ({ text, isDoubt, label });
+  const say = (text, isWarning) => ({ text, isWarning, label });
   const lost = done.objects.filter((ball) => !isFound(ball));
   if (lost.length) {
     const which = done.objects.length === 1 ? "The ball" : namesOf(lost);
@@ -47,10 +47,10 @@ function sentenceOf(forecast) {
   if (isOutOfDistribution(forecast)) {
     return say("These frames look unlike the training data: the grey path may be far off.", true);
   }
-  const doubted = done.objects.find(({ warnings }) => warnings?.length);
-  if (doubted) {
-    const which = done.objects.length === 1 ? "" : `Ball ${doubted.id + 1}: `;
-    return say(which + doubted.warnings[0], true);
+  const warned = done.objects.find(({ warnings }) => warnings?.length);
+  if (warned) {
+    const which = done.objects.length === 1 ? "" : `Ball ${warned.id + 1}: `;
+    return say(which + warned.warnings[0], true);
   }
   if (done.warnings?.some((warning) => warning.startsWith(STILL))) return say(`${STILL}.`, true);
   const scores = done.objects.map(({ score }) => score ?? null);

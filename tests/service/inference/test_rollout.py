@@ -68,7 +68,7 @@ def test_a_variance_scale_is_that_of_its_step_and_the_last_is_held():
     ("half", "first", "expected"),
     [((0.9, 0.8), 0, [0.9, 0.8, 0.8]), ((0.9, 0.8), 1, [0.8] * 3), (None, 0, [1.17741] * 3)],
 )
-def test_a_half_radius_is_that_of_its_step_and_without_one_a_gaussians(half, first, expected):
+def test_an_ellipse50_radius_is_that_of_its_step_and_without_one_a_gaussians(half, first, expected):
     source = CovarianceSource(source="predicted", ellipse50_radius=half)
     made = assemble(outputs(3), source, first_step=first)
     np.testing.assert_allclose(made.ellipse50_radii, expected, atol=1e-5)

@@ -26,7 +26,7 @@ PACE = TrainerConfig(validate_every=4, checkpoint_seconds=1e9, workers=0)
 PROCESSES = 2
 RECIPES = {
     "shared state": one_ball,
-    "practice and readings": field_one_ball_rolling,
+    "true states and replayed features": field_one_ball_rolling,
     "perception-initialised state": perception_init_one_ball,
 }
 

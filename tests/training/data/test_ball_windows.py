@@ -4,7 +4,7 @@ import pytest
 from rollcast.simulation.appearance import CameraPose, draw_camera
 from training.data.ball_batch import MOST_BALLS, collate
 from training.data.ball_windows import (
-    BallLooks,
+    BallAppearanceMixture,
     BallSource,
     BallStream,
     BallWindowMaker,
@@ -92,7 +92,7 @@ def test_a_camera_that_stands_nearer_sees_larger_balls(maker):
 
 def test_batches_depend_on_their_number_alone(maker):
     def stream(first: int) -> BallStream:
-        return BallStream([BallSource(maker, 1.0, 100)], BallLooks(), 3, 7, first)
+        return BallStream([BallSource(maker, 1.0, 100)], BallAppearanceMixture(), 3, 7, first)
 
     whole = iter(stream(0))
     next(whole)
@@ -122,8 +122,8 @@ def test_frames_of_another_spacing_show_the_same_balls_at_other_times(maker, kin
 
 def test_streams_draw_spacings(maker):
     source = [BallSource(maker, 1.0, 100)]
-    looks = BallLooks(paper=1, filmed=0, restyled=0, planar=0, other_rates=0.5)
-    batch = next(iter(BallStream(source, looks, 40, 7, 0)))
+    mixture = BallAppearanceMixture(paper=1, filmed=0, restyled=0, planar=0, other_rates=0.5)
+    batch = next(iter(BallStream(source, mixture, 40, 7, 0)))
     assert 8 < (batch.spacing != 1).sum() < 32
     assert batch.spacing.min() > 0.3
     assert batch.spacing.max() < 2.7

@@ -78,7 +78,7 @@ def test_its_symmetries_are_those_of_the_turned_scene(simulator, scenario):
     expected = window(turned(scene)).scene_targets
     np.testing.assert_allclose(made.centres, expected.centres, atol=1e-4)
     np.testing.assert_allclose(made.ground, expected.ground, atol=1e-3)
-    np.testing.assert_array_equal(made.measures, expected.measures)
+    np.testing.assert_array_equal(made.scene_constants, expected.scene_constants)
 
 
 @pytest.mark.parametrize("mirror", [False, True])
@@ -91,10 +91,10 @@ def test_balls_move_along_the_ground_in_every_view(simulator, quarter_turns, mir
     scene_targets = Symmetry(quarter_turns, mirror).apply(window).scene_targets
     centres = scene_targets.centres[0]
     cells = np.clip((centres[:, :2] + 1) / 2 * MAP_CELLS, 0, MAP_CELLS - 1).astype(int)
-    lean = scene_targets.ground[:2, cells[:, 1], cells[:, 0]].T
-    upright = np.sqrt(1 - np.sum(lean**2, axis=-1))
+    normal_xy = scene_targets.ground[:2, cells[:, 1], cells[:, 0]].T
+    normal_z = np.sqrt(1 - np.sum(normal_xy**2, axis=-1))
     moved = (centres[2:] - centres[:-2]) / 2
-    along_normal = np.sum(moved[:, :2] * lean[1:-1], axis=-1) + moved[:, 2] * upright[1:-1]
+    along_normal = np.sum(moved[:, :2] * normal_xy[1:-1], axis=-1) + moved[:, 2] * normal_z[1:-1]
     # Cells are 4 pixels wide, so their normals are a little off.
     assert np.abs(along_normal).mean() < 0.1 * np.linalg.norm(moved, axis=-1).mean()
 

@@ -6,7 +6,7 @@ import pytest
 from rollcast.scene import SCENARIOS, Scene
 from rollcast.schemas import NAMES_OF_A_SCENE, SceneParameters, SimulateRequest
 from rollcast.simulation.sampling import draw_scene, scene_generator
-from training.data.looks import Looks
+from training.data.appearance_mixture import AppearanceMixture
 from training.data.painting.restyled import draw_restyling
 from training.data.shards import Source, Variety
 from training.recipes.appearance import APPEARANCE_DATA
@@ -91,7 +91,7 @@ def white_share(scenes: list[Scene]) -> float:
     generator = np.random.default_rng(0)
     path = np.full((4, 2), 64.0)
     balls = [draw_restyling(generator, scene, path).ball for scene in scenes[:200]]
-    assert Looks().restyled > 0.2
+    assert AppearanceMixture().restyled > 0.2
     return float(np.mean([ball is not None and set(ball.colors) == {(1, 1, 1)} for ball in balls]))
 
 

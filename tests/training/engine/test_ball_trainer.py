@@ -58,7 +58,7 @@ def test_training_changes_perception_alone_and_goes_on_where_it_stopped(tmp_path
     moved = {n for n, v in resumed.network.state_dict().items() if not torch.equal(v, before[n])}
     assert any(name.startswith("perception.detector.said") for name in moved)
     assert any(name.startswith("perception.refiner.registration") for name in moved)
-    assert not any(name.startswith(("rolling", "first_doubt")) for name in moved)
+    assert not any(name.startswith(("rolling", "first_covariance")) for name in moved)
     best = read_best(tmp_path)
     assert best["weights"].keys() == before.keys()
     assert (best["sequences"], best["scenes"]) in [(6, {"planar": 3}), (9, {"planar": 3})]

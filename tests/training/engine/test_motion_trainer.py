@@ -1,4 +1,4 @@
-"""Training by trajectories, from readings that are computed by hand."""
+"""Training by trajectories, from perception outputs that are computed by hand."""
 
 import copy
 from dataclasses import replace
@@ -8,7 +8,7 @@ import torch
 
 from training.engine.motion_trainer import (
     MOTION_PARTS,
-    BallReadings,
+    BallPerceptionOutputs,
     MotionTraining,
     train_motion,
     trajectory_loss,
@@ -25,7 +25,7 @@ def network() -> AnyBallNet:
     return AnyBallNet()
 
 
-def readings(windows: int, balls: int, *, known: bool = True) -> BallReadings:
+def outputs(windows: int, balls: int, *, known: bool = True) -> BallPerceptionOutputs:
     """Balls that roll evenly over level ground, each as far from the others as the frame allows."""
     generator = torch.Generator().manual_seed(windows)
     start = torch.rand(windows, balls, 1, 2, generator=generator) - 0.5
@@ -36,7 +36,7 @@ def readings(windows: int, balls: int, *, known: bool = True) -> BallReadings:
     centres = torch.cat([flat, torch.full_like(flat[..., :1], radius)], dim=-1)
     if not known:
         centres[:, :, 4:] = torch.nan
-    return BallReadings(
+    return BallPerceptionOutputs(
         places=flat[:, :, :4],
         radii=torch.full((windows, balls), radius),
         visible=torch.full((windows, balls, 4), 9.0),
@@ -53,10 +53,10 @@ def readings(windows: int, balls: int, *, known: bool = True) -> BallReadings:
 def test_the_loss_falls_and_the_perception_stays(network):
     before = copy.deepcopy(network.state_dict())
     training = MotionTraining(60, batch_size=16, horizon=8, state_rate=3e-3, motion_rate=3e-4)
-    losses = list(train_motion(network, {1: readings(40, 1), 2: readings(24, 2)}, training))
-    fixed = trajectory_loss(network, readings(32, 2), 8, training.halving).item()
+    losses = list(train_motion(network, {1: outputs(40, 1), 2: outputs(24, 2)}, training))
+    fixed = trajectory_loss(network, outputs(32, 2), 8, training.halving).item()
     network.load_state_dict(before)
-    untrained = trajectory_loss(network, readings(32, 2), 8, training.halving).item()
+    untrained = trajectory_loss(network, outputs(32, 2), 8, training.halving).item()
     assert len(losses) == 60
     assert fixed < 0.5 * untrained
 
@@ -64,7 +64,7 @@ def test_the_loss_falls_and_the_perception_stays(network):
 def test_only_the_states_and_the_motion_change(network):
     before = copy.deepcopy(network.state_dict())
     training = MotionTraining(3, batch_size=8, horizon=6)
-    list(train_motion(network, {1: readings(16, 1)}, training))
+    list(train_motion(network, {1: outputs(16, 1)}, training))
     changed = {
         name for name, value in network.state_dict().items() if not torch.equal(value, before[name])
     }
@@ -73,7 +73,7 @@ def test_only_the_states_and_the_motion_change(network):
 
 
 def test_what_is_not_known_costs_nothing(network):
-    known = readings(4, 2, known=False)
+    known = outputs(4, 2, known=False)
     first = trajectory_loss(network, known, 2, 10.0)
     later = trajectory_loss(network, known, 8, 10.0)
     assert torch.isfinite(later)
@@ -87,5 +87,5 @@ def test_what_is_not_known_costs_nothing(network):
 def test_a_training_is_reproducible(network):
     training = replace(MotionTraining(4, batch_size=8, horizon=6), seed=3)
     other = copy.deepcopy(network)
-    one = list(train_motion(network, {1: readings(16, 1)}, training))
-    assert one == list(train_motion(other, {1: readings(16, 1)}, training))
+    one = list(train_motion(network, {1: outputs(16, 1)}, training))
+    assert one == list(train_motion(other, {1: outputs(16, 1)}, training))

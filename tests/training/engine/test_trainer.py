@@ -9,7 +9,7 @@ from training.common.distributed import Share
 from training.common.run_folder import BEST
 from training.data.feature_cache import replayed
 from training.engine.loop import TrainerConfig, warmed_average
-from training.engine.trainer import READINGS, Trainer, shared_factor
+from training.engine.trainer import FEATURE_CACHE, Trainer, shared_factor
 from training.engine.warm_start import Initial, load_fitting
 from training.networks.compact import compact_family
 from training.networks.task import Task
@@ -120,13 +120,13 @@ def test_windows_are_read_once_and_replayed(bending, tmp_path):
     trainer.run()
     changed = {n for n, v in trainer.family.state_dict().items() if not torch.equal(v, before[n])}
     assert changed == {name for name in before if ".bend." in name}
-    readings = torch.load(tmp_path / READINGS, weights_only=True)
-    assert len(readings["p"]) == len(readings["s"]) == len(readings["positions"]) == 64
-    batch = next(replayed(tmp_path / READINGS, 6, 1, 3, Share()))
+    outputs = torch.load(tmp_path / FEATURE_CACHE, weights_only=True)
+    assert len(outputs["p"]) == len(outputs["s"]) == len(outputs["positions"]) == 64
+    batch = next(replayed(tmp_path / FEATURE_CACHE, 6, 1, 3, Share()))
     drawn = batch["initial_state"].state.p
-    where = [int((readings["p"] == p).all(dim=(1, 2)).nonzero()) for p in drawn]
-    assert torch.equal(batch["positions"], readings["positions"][where])
-    shared = next(replayed(tmp_path / READINGS, 6, 1, 3, Share(1, 3)))
+    where = [int((outputs["p"] == p).all(dim=(1, 2)).nonzero()) for p in drawn]
+    assert torch.equal(batch["positions"], outputs["positions"][where])
+    shared = next(replayed(tmp_path / FEATURE_CACHE, 6, 1, 3, Share(1, 3)))
     assert torch.equal(shared["positions"], batch["positions"][1::3])
 
 
@@ -155,7 +155,7 @@ def test_horizon_grows_step_by_step_between_milestones():
 
 def test_weights_kept_early_claim_no_more_than_they_were_trained_on():
     recipe = field_several_balls(2)
-    # The practice is ahead of the forecasts, until both have reached the whole horizon.
+    # Rollouts from true states are longer than those from frames, until both have the horizon.
     assert longest_rollout(recipe, 0.2) == 8
     assert longest_rollout(recipe, 0.5) == 15
     assert longest_rollout(recipe, 1.0) == recipe.trained_horizon == 30

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from training.data.shards import SHARD_SCENES, Source
-from training.evaluation.error_breakdown import SUBSTITUTES, dissected, dissection_table
+from training.evaluation.error_breakdown import SUBSTITUTES, breakdown_of, breakdown_table
 from training.networks.fieldnet import FieldNet
 from training.networks.task import Task
 
@@ -14,7 +14,7 @@ from training.networks.task import Task
 def errors(runs):
     torch.manual_seed(6)
     network = FieldNet(Task()).eval()
-    return dissected(network, Source("hemisphere"), SHARD_SCENES, workers=1)
+    return breakdown_of(network, Source("hemisphere"), SHARD_SCENES, workers=1)
 
 
 def test_true_parts_take_their_error_away(errors):
@@ -28,7 +28,7 @@ def test_true_parts_take_their_error_away(errors):
 
 
 def test_the_table_names_every_part(errors):
-    table = dissection_table({"hemisphere": errors}, objects=1).splitlines()
+    table = breakdown_table({"hemisphere": errors}, objects=1).splitlines()
     assert "hemisphere, T=20 | hemisphere, T=40" in table[0]
     assert [line.split(" | ")[0].removeprefix("| ") for line in table[2:]] == list(SUBSTITUTES)
     assert f"{errors['nothing'][19]:.2f}" in table[2]

@@ -6,7 +6,7 @@ import av
 import numpy as np
 import pytest
 
-from training.evaluation.real_clips import FOUND_PX, clip_windows, find, perception_look
+from training.evaluation.real_clips import FOUND_PX, clip_windows, find, perception_finder
 from training.networks.perception import Perception
 
 WIDTH, HEIGHT, FRAMES = 192, 160, 12
@@ -59,7 +59,7 @@ def test_a_prompt_begins_within_reach_of_the_ball(clips):
     setup = {"file": "ball.mp4", "crop": CROP, "targets": ["white"]}
     windows = clip_windows(clips, clips, "one", setup)
     # Untrained perception corrects nothing: it returns the prompt.
-    made = find(perception_look(Perception(1).eval()), windows, prompted=True)
+    made = find(perception_finder(Perception(1).eval()), windows, prompted=True)
     assert made.position_errors.max() < 6
     np.testing.assert_array_equal(made.found, made.position_errors <= max(6, FOUND_PX))
     np.testing.assert_allclose(made.displacement_errors, 3, atol=1e-4)
@@ -70,14 +70,14 @@ def test_of_several_answers_the_nearest_counts(clips):
     windows = clip_windows(clips, clips, "one", setup)
     paths = {window.frames.tobytes(): window.path for window in windows}
 
-    def look(frames, prompt):
+    def finder(frames, prompt):
         assert prompt is None
         path = paths[frames.tobytes()] / 64 - 1
         far = np.full_like(path, 0.9)
         near = path + np.array([[0, 0], [0, 0], [1, 0], [0, 1]]) / 64
         return np.stack([far, near])
 
-    made = find(look, windows, prompted=False)
+    made = find(finder, windows, prompted=False)
     np.testing.assert_allclose(made.position_errors, 1)
     np.testing.assert_allclose(made.displacement_errors, np.sqrt(2))
     assert made.found.all()

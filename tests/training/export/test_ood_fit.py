@@ -26,7 +26,7 @@ from training.export.ood_fit import (
 
 @pytest.fixture(scope="module")
 def known(runs):
-    """Looks of hemispheres: of those to fit to, and of others."""
+    """Frame statistics of hemispheres: those to fit to, and others."""
     return [
         source_frame_stats(HEMISPHERE, split, SHARD_SCENES, 1)
         for split in ("training", "validation")

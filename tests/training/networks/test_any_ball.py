@@ -8,7 +8,7 @@ import torch
 
 from rollcast.patches import cut_patches as cut_in_numpy
 from training.export.load import any_ball_from, load_exported
-from training.networks.any_ball import AnyBallNet, SizedEncounters, seen_balls
+from training.networks.any_ball import AnyBallNet, SizedPairInteraction, seen_balls
 from training.networks.ball_detector import BallMaps, peaks, voted
 from training.networks.fieldnet import Ball
 from training.networks.patch_refiner import Outline, PatchRefiner, Registration
@@ -144,7 +144,7 @@ def test_balls_in_reach_do_matter(network):
 def test_velocities_are_of_a_step_whatever_the_spacing_of_the_frames(spacing):
     torch.manual_seed(3)
     network = AnyBallNet()
-    torch.nn.init.normal_(network.unsure.weight)
+    torch.nn.init.normal_(network.covariance_from_sigmas.weight)
     with torch.no_grad():
         network.perception.state[0].weight[:, -1] = 0  # what is learned of the spacing itself
     back = torch.arange(-3.0, 1)[:, None] * torch.tensor([0.05, 0.02])
@@ -166,6 +166,6 @@ def test_velocities_are_of_a_step_whatever_the_spacing_of_the_frames(spacing):
 def test_balls_of_other_sizes_touch_at_the_sum_of_their_radii():
     constants = torch.tensor([[[0.0, 5 * 0.1 * 1.05], [0.0, 5 * 0.3 * 1.05]]])
     zeros = torch.zeros(1, 2, 3)
-    reach = SizedEncounters().reach(Ball(zeros, zeros, zeros, zeros, constants))
+    reach = SizedPairInteraction().reach(Ball(zeros, zeros, zeros, zeros, constants))
     assert torch.allclose(reach[0, 0, 1], torch.tensor(0.4), atol=1e-6)
     assert torch.allclose(reach, reach.transpose(1, 2))

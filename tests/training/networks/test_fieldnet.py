@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from training.engine.warm_start import load_fitting
-from training.networks.fieldnet import AHEAD, Ball, Encounters, FieldNet, field_family
+from training.networks.fieldnet import AHEAD, Ball, FieldNet, PairInteraction, field_family
 from training.networks.perception import (
     PATCH_HALF_WIDTH,
     Perception,
@@ -17,11 +17,11 @@ from training.networks.perception import (
 from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Observation, PerceptionOutput, State
 from training.networks.task import Task
 from training.objectives.losses import (
+    DetachedNllLoss,
     DistanceLoss,
-    DoubtLoss,
     LikelihoodLoss,
     MotionLoss,
-    ReadingLoss,
+    PerceptionLoss,
 )
 from training.recipes.field import field_one_ball, field_several_balls
 from training.recipes.recipe import continued, horizon_at
@@ -33,9 +33,9 @@ FRAMES = torch.randint(
 
 def balls(centres: torch.Tensor, velocities: torch.Tensor) -> Ball:
     """Balls of radius 0.225 m in a bowl's frame that do not turn."""
-    measures = torch.tensor([0.0, 5 * 0.225]).expand(*centres.shape[:2], 2)
+    constants = torch.tensor([0.0, 5 * 0.225]).expand(*centres.shape[:2], 2)
     none = torch.zeros_like(centres)
-    return Ball(centres, velocities, none, none, measures)
+    return Ball(centres, velocities, none, none, constants)
 
 
 def field_net(objects: int = 1, *, interaction: bool = True) -> FieldNet:
@@ -104,17 +104,17 @@ def test_balls_swapped_before_are_balls_swapped_after():
 
 def test_only_balls_within_reach_tell_each_other_something():
     torch.manual_seed(2)
-    encounters = Encounters()
+    interaction = PairInteraction()
     diameter = 2 * 0.225 / 1.05
     still = torch.zeros(1, 3, 3)
     apart = torch.tensor([[[0.0, 0.0, 0.0], [1.02 * diameter, 0.0, 0.0], [0.0, -0.9, 0.0]]])
-    message = encounters(balls(apart, still))
+    message = interaction(balls(apart, still))
     assert message[0, 0].abs().max() > 0
     torch.testing.assert_close(message[0, 2], torch.zeros_like(message[0, 2]))
     # One that will be there within the frame is heard in time.
     closing = still.clone()
     closing[0, 2, 1] = 0.9 - diameter
-    assert encounters(balls(apart, closing))[0, 2].abs().max() > 0
+    assert interaction(balls(apart, closing))[0, 2].abs().max() > 0
     assert max(AHEAD) == 1
 
 
@@ -130,16 +130,16 @@ def test_without_interaction_balls_do_not_notice_each_other():
     torch.testing.assert_close(near.centre[:, 0], far.centre[:, 0])
 
 
-@pytest.mark.parametrize("lean", [(0.0, 0.0), (0.3, -0.2), (-0.6, 0.4)])
-def test_a_ball_that_rolls_does_not_slip(lean):
+@pytest.mark.parametrize("normal_xy", [(0.0, 0.0), (0.3, -0.2), (-0.6, 0.4)])
+def test_a_ball_that_rolls_does_not_slip(normal_xy):
     """v = omega x r n: the touching point stands still; and v has no part along n."""
-    lean, flat = torch.tensor(lean), torch.tensor([0.05, 0.03])
-    velocity = torch.cat([flat, rise_along(lean, flat)])
-    normal = torch.cat([lean, (1 - lean.square().sum()).sqrt()[None]])
+    normal_xy, flat = torch.tensor(normal_xy), torch.tensor([0.05, 0.03])
+    velocity = torch.cat([flat, rise_along(normal_xy, flat)])
+    normal = torch.cat([normal_xy, (1 - normal_xy.square().sum()).sqrt()[None]])
     assert float(velocity @ normal) == pytest.approx(0, abs=1e-7)
     radius = torch.tensor([0.2])
     to_world = torch.tensor([1.0, -1.0, 1.0])
-    omega = rolling_spin(lean, velocity, radius) * ANGULAR_VELOCITY_UNIT / 40
+    omega = rolling_spin(normal_xy, velocity, radius) * ANGULAR_VELOCITY_UNIT / 40
     carried = torch.linalg.cross(omega, radius * normal * to_world)
     torch.testing.assert_close(carried, velocity * to_world)
     assert float(omega @ (normal * to_world)) == pytest.approx(0, abs=1e-6)
@@ -151,49 +151,49 @@ def test_an_untaught_eye_takes_balls_to_be_rolling():
     with torch.no_grad():
         for parameter in perception.state[-1].parameters():
             parameter.zero_()
-        look = perception(FRAMES)
-    exact = look.seen_positions[-1]
-    torch.testing.assert_close(look.velocities[..., :2], exact[:, :, 3] - exact[:, :, 2])
-    torch.testing.assert_close(look.centres[..., :2], exact[:, :, 3])
-    lean = sampled(look.ground, exact[:, :, 3:])[:, :, 0, :2]
-    rolling = rolling_spin(lean, look.velocities, radius_of(look.measures[:, None]))
-    torch.testing.assert_close(look.spins, rolling)
+        made = perception(FRAMES)
+    exact = made.seen_positions[-1]
+    torch.testing.assert_close(made.velocities[..., :2], exact[:, :, 3] - exact[:, :, 2])
+    torch.testing.assert_close(made.centres[..., :2], exact[:, :, 3])
+    normal_xy = sampled(made.ground, exact[:, :, 3:])[:, :, 0, :2]
+    rolling = rolling_spin(normal_xy, made.velocities, radius_of(made.scene_constants[:, None]))
+    torch.testing.assert_close(made.spins, rolling)
 
 
 def test_a_closer_look_sees_its_own_patch_alone():
     torch.manual_seed(4)
-    look = PositionRefiner(8).eval()
+    made = PositionRefiner(8).eval()
     with torch.no_grad():
-        look.correction.weight.normal_()
+        made.correction.weight.normal_()
     images = torch.rand(1, 4, 3, 128, 128)
     around = torch.tensor([[[[-0.5, -0.5]] * 4, [[0.5, 0.5]] * 4]])
-    first, _ = look(images, around)
+    first, _ = made(images, around)
     changed = images.clone()
     changed[..., 64:, 64:] = 0
-    second, _ = look(changed, around)
+    second, _ = made(changed, around)
     assert PATCH_HALF_WIDTH < 0.5
     torch.testing.assert_close(first[:, 0], second[:, 0])
     assert (first[:, 1] - second[:, 1]).abs().max() > 1e-3
-    alone, _ = look(images, around[:, 1:])
+    alone, _ = made(images, around[:, 1:])
     torch.testing.assert_close(alone[:, 0], first[:, 1])
 
 
 def test_a_perfect_reading_costs_nothing():
     torch.manual_seed(1)
     centres = torch.randn(3, 1, 9, 3)
-    ground, measures = torch.randn(3, 3, 32, 32), torch.randn(3, 2)
+    ground, constants = torch.randn(3, 3, 32, 32), torch.randn(3, 2)
     seen, now = centres[:, :, :4, :2], centres[:, :, 3]
     velocities = now - centres[:, :, 2]
     unused = torch.zeros(3, 1, 3)
-    looks = (seen, seen, seen)
-    perfect = PerceptionOutput(looks, ground, measures, now, velocities, unused, unused)
+    passes = (seen, seen, seen)
+    perfect = PerceptionOutput(passes, ground, constants, now, velocities, unused, unused)
     unknown = ground.clone()
     unknown[:, :, :4] = torch.nan
-    loss = ReadingLoss()
-    assert float(loss(perfect, (centres, unknown, measures))) == pytest.approx(0, abs=1e-5)
-    for field in ("ground", "measures", "centres", "velocities"):
+    loss = PerceptionLoss()
+    assert float(loss(perfect, (centres, unknown, constants))) == pytest.approx(0, abs=1e-5)
+    for field in ("ground", "scene_constants", "centres", "velocities"):
         worse = perfect._replace(**{field: getattr(perfect, field) + 0.1})
-        assert float(loss(worse, (centres, unknown, measures))) > 0.1
+        assert float(loss(worse, (centres, unknown, constants))) > 0.1
 
 
 def test_the_ground_counts_most_where_the_balls_will_be():
@@ -206,9 +206,9 @@ def test_the_ground_counts_most_where_the_balls_will_be():
         read = ground.clone()
         read[0, 2, row - 1 : row + 1, column - 1 : column + 1] = 0.1
         velocities, unused = now - centres[:, :, 2], torch.zeros(1, 1, 3)
-        looks, measures = (seen,) * 3, torch.zeros(1, 2)
-        reading = PerceptionOutput(looks, read, measures, now, velocities, unused, unused)
-        costs.append(float(ReadingLoss()(reading, (centres, ground, torch.zeros(1, 2)))))
+        passes, constants = (seen,) * 3, torch.zeros(1, 2)
+        perceived = PerceptionOutput(passes, read, constants, now, velocities, unused, unused)
+        costs.append(float(PerceptionLoss()(perceived, (centres, ground, torch.zeros(1, 2)))))
     assert costs[0] > 2 * costs[1] > 0
 
 
@@ -221,28 +221,28 @@ def test_perfect_motion_costs_nothing():
     assert float(loss(shifted, truth)) == pytest.approx(6.3, abs=0.01)
 
 
-def test_doubt_leaves_the_positions_alone():
+def test_the_covariance_leaves_the_positions_alone():
     """The gradient of the positions is that of their own loss."""
     truth = torch.zeros(1, 1, 5, 2)
     positions = torch.randn(1, 1, 5, 2, requires_grad=True)
     covariances = torch.eye(2).expand(1, 1, 5, 2, 2).clone().requires_grad_()
     distance = DistanceLoss(halving=8)
     forecast = Observation(positions, covariances, None)
-    DoubtLoss(distance, LikelihoodLoss(halving=8), weight=0.5)(forecast, truth).backward()
+    DetachedNllLoss(distance, LikelihoodLoss(halving=8), weight=0.5)(forecast, truth).backward()
     (expected,) = torch.autograd.grad(distance(forecast, truth), positions)
     torch.testing.assert_close(positions.grad, expected)
     assert covariances.grad is not None
     assert covariances.grad.abs().sum() > 0
 
 
-def test_doubt_grows_without_moving_the_balls():
-    """The likelihood teaches the doubt alone, from perception to the last step."""
+def test_the_covariance_grows_without_moving_the_balls():
+    """The likelihood trains the covariance alone, from perception to the last step."""
     network = field_net()
     forecast = network(FRAMES, 5)
     forecast.covariances.sum().backward()
     taught = {name for name, p in network.named_parameters() if p.grad is not None and p.grad.any()}
     assert taught
-    assert all("doubt" in name for name in taught)
+    assert all("covariance" in name for name in taught)
 
 
 def test_several_balls_begin_as_one_ball_each():
@@ -295,9 +295,9 @@ def test_a_way_that_ends_well_is_left_alone():
 def test_a_still_frame_is_four_of_balls_at_rest():
     network = unsettled(field_net())
     with torch.inference_mode():
-        looks = network.perception(FRAMES[:, :1].expand(-1, 4, -1, -1, -1)).seen_positions
+        passes = network.perception(FRAMES[:, :1].expand(-1, 4, -1, -1, -1)).seen_positions
         at_rest = network.perception.at_rest(FRAMES[:, 0])
-    torch.testing.assert_close(at_rest, looks[-1][:, :, -1])
+    torch.testing.assert_close(at_rest, passes[-1][:, :, -1])
 
 
 def test_going_on_begins_with_perception_alone():
@@ -338,12 +338,12 @@ def test_a_closer_look_is_judged_where_it_can_see_the_ball():
     truth = (torch.zeros(1, 1, 9, 3), ground, torch.zeros(1, 2))
     costs = {}
     for lost, place in ((False, 0.2), (True, 0.8)):
-        looks = (seen + place, (seen + place + 0.1).requires_grad_(), seen + place)
+        passes = (seen + place, (seen + place + 0.1).requires_grad_(), seen + place)
         centres = torch.zeros(1, 1, 3) + place
-        reading = PerceptionOutput(
-            looks, ground, torch.zeros(1, 2), centres, unused, unused, unused
+        perceived = PerceptionOutput(
+            passes, ground, torch.zeros(1, 2), centres, unused, unused, unused
         )
-        ReadingLoss(within_reach=True)(reading, truth).backward()
-        costs[lost] = float(looks[1].grad.abs().sum())
+        PerceptionLoss(within_reach=True)(perceived, truth).backward()
+        costs[lost] = float(passes[1].grad.abs().sum())
     assert costs[False] > 0
     assert costs[True] == 0

@@ -64,8 +64,8 @@ def test_frames_and_what_is_read_of_them_give_the_same_forecast(frames):
     seen = FRAMES[:, :frames]
     with torch.inference_mode():
         made = networks(seen, 5)["it"]
-        reading = networks.encoder.perception(FRAMES[:, :4])
-        state = seen_state(reading, torch.zeros_like(reading.centres))
+        perceived = networks.encoder.perception(FRAMES[:, :4])
+        state = seen_state(perceived, torch.zeros_like(perceived.centres))
         finals = networks.encoder.perception.at_rest(FRAMES[:, 4]) if frames == 5 else None
         again = networks.forecast_from(InitialState(state, finals), 5)["it"]
     torch.testing.assert_close(made.positions, again.positions)
@@ -90,7 +90,7 @@ def test_a_state_knows_ground_ball_and_final_place():
                     known.state.s, ball._replace(**{part: getattr(ball, part) + 0.1}).packed()
                 )
             )
-            for part in ("centre", "velocity", "spin", "measures")
+            for part in ("centre", "velocity", "spin", "scene_constants")
         }
         for part, other in others.items():
             assert not torch.allclose(spread(other), plain, atol=1e-3), part

@@ -1,4 +1,4 @@
-"""The zoomed look, and point prompts."""
+"""The zoomed pass, and point prompts."""
 
 import numpy as np
 import pytest
@@ -56,13 +56,13 @@ def test_radii_stay_within_what_can_be_seen(perception):
 
 def test_corrections_scale_with_the_patch():
     torch.manual_seed(1)
-    look = ZoomedRefiner().look.eval()
-    torch.nn.init.normal_(look.correction.bias)
-    torch.nn.init.zeros_(look.correction.weight)
+    refiner = ZoomedRefiner().refiner.eval()
+    torch.nn.init.normal_(refiner.correction.bias)
+    torch.nn.init.zeros_(refiner.correction.weight)
     images, around = torch.rand(1, 4, 3, 128, 128), torch.zeros(1, 1, 4, 2)
     with torch.inference_mode():
-        usual, _ = look(images, around, torch.ones(1, 1))
-        near, _ = look(images, around, torch.full((1, 1), 0.25))
+        usual, _ = refiner(images, around, torch.ones(1, 1))
+        near, _ = refiner(images, around, torch.full((1, 1), 0.25))
     torch.testing.assert_close(near, 0.25 * usual)
 
 
@@ -72,15 +72,15 @@ def test_it_begins_as_a_network_without_it():
     with torch.no_grad():
         plain.perception.closer.correction.weight.normal_(std=0.01)
     taken = load_fitting(zoomed, plain.state_dict())
-    assert any(name.startswith("perception.zoomed.look.") for name in taken)
+    assert any(name.startswith("perception.zoomed.refiner.") for name in taken)
     with torch.inference_mode():
         one, other = plain(FRAMES, 3), zoomed(FRAMES, 3)
     torch.testing.assert_close(one.positions, other.positions)
     with torch.no_grad():
-        zoomed.perception.zoomed.look.correction.bias.fill_(0.1)
+        zoomed.perception.zoomed.refiner.correction.bias.fill_(0.1)
     again = FieldNet(Task(), ZoomedRefiner())
     load_fitting(again, zoomed.state_dict())
-    assert float(again.perception.zoomed.look.correction.bias.detach()[0]) == pytest.approx(0.1)
+    assert float(again.perception.zoomed.refiner.correction.bias.detach()[0]) == pytest.approx(0.1)
 
 
 def test_it_is_a_preset_of_its_own():
@@ -95,6 +95,6 @@ def test_every_parameter_of_it_is_used():
     """An unused one would be missing in an exported graph."""
     torch.manual_seed(3)
     perception = Perception(1, ZoomedRefiner())
-    looks, *read = perception(FRAMES)
-    sum(part.square().sum() for part in (*looks, *read)).backward()
+    passes, *read = perception(FRAMES)
+    sum(part.square().sum() for part in (*passes, *read)).backward()
     assert all(parameter.grad is not None for parameter in perception.parameters())

@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 from training.data.shards import SHARD_SCENES
 from training.evaluation.paper import CELLS, published
 from training.recipes.compact import ONE_BALL_DATA
-from training.reporting.plots import _look, draw_errors, draw_group
+from training.reporting.plots import _style, draw_errors, draw_group
 from training.reporting.results import Curve, Measurement, Results
 from training.studies import STUDIES, reproduced
 from training.studies.benchmark_case import BenchmarkCase, FixedScenes
@@ -130,8 +130,8 @@ def test_every_row_of_a_table_has_a_line_of_its_own(study, tmp_path):
         for row in rows
     ]
     draw_errors(curves, tmp_path / "curves.png")
-    looks = [_look(index) for index in range(len(rows))]
-    assert len(set(looks)) == len(rows)
+    styles = [_style(index) for index in range(len(rows))]
+    assert len(set(styles)) == len(rows)
 
 
 def test_bars_stand_side_by_side_in_the_order_of_the_table():

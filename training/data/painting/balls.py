@@ -8,7 +8,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from rollcast.simulation.appearance import BallLook, Lamp
+from rollcast.simulation.appearance import BallAppearance, Lamp
 
 Colors = Float[np.ndarray, "*batch 3"]
 
@@ -16,11 +16,11 @@ Colors = Float[np.ndarray, "*batch 3"]
 class BallPainter:
     """Colours of one ball's points."""
 
-    def __init__(self, look: BallLook) -> None:
-        self.look = look
-        generator = np.random.default_rng(look.seed)
+    def __init__(self, appearance: BallAppearance) -> None:
+        self.appearance = appearance
+        generator = np.random.default_rng(appearance.seed)
         self._axes = _orthonormal(generator)
-        self._colors = np.asarray(look.colors, np.float32)
+        self._colors = np.asarray(appearance.colors, np.float32)
         self._octants = generator.random((2, 2, 2, 3)).astype(np.float32)
         spots = generator.normal(size=(generator.integers(3, 9), 3))
         self._spots = spots / np.linalg.norm(spots, axis=1, keepdims=True)
@@ -38,7 +38,7 @@ class BallPainter:
         """
         first, second, field = self._colors
         along = body_normals @ self._axes[0]
-        match self.look.pattern:
+        match self.appearance.pattern:
             case "two-tone":
                 return _mixed(first, second, along * sharpness)
             case "striped":
@@ -47,7 +47,7 @@ class BallPainter:
                 return self._octant_colors(body_normals @ self._axes.T, sharpness)
             case "numbered":
                 colors = _mixed(second, first, (self._width - np.abs(along)) * sharpness)
-                if self.look.seed % 2:
+                if self.appearance.seed % 2:
                     colors = np.broadcast_to(first, colors.shape)
                 across = body_normals @ self._axes[1:].T
                 radius = np.hypot(across[..., 0], across[..., 1])
@@ -81,11 +81,11 @@ class BallPainter:
         sharpness: float,
     ) -> Float[np.ndarray, "*batch 3"]:
         """Colours under a lamp; normals are in the lamp's axes."""
-        look = self.look
+        appearance = self.appearance
         direction = np.asarray(lamp.direction, np.float32)
-        if look.pattern == "disc":
+        if appearance.pattern == "disc":
             return self._disc_colors(normals, body_normals, sharpness)
-        if look.pattern == "metallic":
+        if appearance.pattern == "metallic":
             # A studio of bright and dark stripes, mirrored.
             mirrored = 2 * normals[..., 2:] * normals - np.array([0, 0, 1], np.float32)
             bright = 0.5 + 0.5 * np.sin(4 * (mirrored @ self._axes[0]) + 2 * mirrored[..., 1])
@@ -94,11 +94,11 @@ class BallPainter:
             facing = np.maximum(normals @ direction, 0)[..., None]
             light = lamp.ambient + (1 - lamp.ambient) * facing
             colors = self.albedo(body_normals, sharpness) * light
-        if look.gloss:
+        if appearance.gloss:
             half = direction + np.array([0, 0, 1], np.float32)
             half = half / np.linalg.norm(half)
-            shine = np.maximum(normals @ half, 0) ** look.shininess
-            colors = colors + look.gloss * shine[..., None]
+            shine = np.maximum(normals @ half, 0) ** appearance.shininess
+            colors = colors + appearance.gloss * shine[..., None]
         return colors
 
     def _disc_colors(
@@ -159,9 +159,9 @@ def paint_ball(
         normals = np.stack([u, v, np.sqrt((1 - u * u - v * v).clip(0))], axis=-1)
         normals = normals.astype(np.float32)
         painted = painter.lit(normals, _body_normals(painter, normals, turn), lamp, radius)
-        if painter.look.pattern == "glass":
+        if painter.appearance.pattern == "glass":
             edge = (0.25 + 0.6 * (1 - normals[..., 2:]) ** 2) * coverage
-            highlight = np.maximum(painted - painter.look.colors[0], 0)
+            highlight = np.maximum(painted - painter.appearance.colors[0], 0)
             total += edge / steps
             colors += (edge * painted * 0.8 + coverage * highlight * 0.5) / steps
             continue
@@ -172,7 +172,7 @@ def paint_ball(
 
 
 def _body_normals(painter: BallPainter, normals: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    if painter.look.pattern == "disc":
+    if painter.appearance.pattern == "disc":
         angle = math.atan2(turn[1, 0], turn[0, 0])
         cos, sin = math.cos(angle), math.sin(angle)
         turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])

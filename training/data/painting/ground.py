@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rollcast.camera import NETWORK_FRAME_SIZE
-from rollcast.simulation.appearance import GroundLook
+from rollcast.simulation.appearance import GroundAppearance
 
 SIZE = NETWORK_FRAME_SIZE
 Image = Float[np.ndarray, "size size 3"]
@@ -18,59 +18,59 @@ _SUPERSAMPLES = 3
 """Samples per pixel and axis of an edge, along one axis."""
 
 
-def paint_ground(look: GroundLook) -> Image:
+def paint_ground(appearance: GroundAppearance) -> Image:
     """Paint a ground, float32 intensities 0..1."""
-    generator = np.random.default_rng(look.seed)
-    first, second, third = np.asarray(look.colors, np.float32)
-    image = _pattern(look, generator, first, second, third)
-    if look.grain:
+    generator = np.random.default_rng(appearance.seed)
+    first, second, third = np.asarray(appearance.colors, np.float32)
+    image = _pattern(appearance, generator, first, second, third)
+    if appearance.grain:
         grain = smooth_noise(generator, float(generator.choice([1.0, 1.5, 3.0])))
-        image = image * (1 + 2 * look.grain * grain[..., None])
+        image = image * (1 + 2 * appearance.grain * grain[..., None])
     return np.clip(image, 0, 1).astype(np.float32)
 
 
 def _pattern(
-    look: GroundLook,
+    appearance: GroundAppearance,
     generator: np.random.Generator,
     first: np.ndarray,
     second: np.ndarray,
     third: np.ndarray,
 ) -> np.ndarray:
-    cos, sin = math.cos(look.angle_rad), math.sin(look.angle_rad)
+    cos, sin = math.cos(appearance.angle_rad), math.sin(appearance.angle_rad)
     u = cos * _ALONG[None, :] + sin * _ALONG[:, None]
     v = cos * _ALONG[:, None] - sin * _ALONG[None, :]
     plain = np.full((SIZE, SIZE, 3), first, np.float32)
-    match look.pattern:
+    match appearance.pattern:
         case "cloth":
             weave = smooth_noise(generator, 1.0) + smooth_noise(generator, 8.0)
             return plain * (1 + 0.06 * weave[..., None])
         case "wood":
             warp = 2 * smooth_noise(generator, 24.0)
-            rings = np.sin(u / max(look.scale, 4) * 4 + warp)
+            rings = np.sin(u / max(appearance.scale, 4) * 4 + warp)
             return _between(first, second, 0.5 + 0.5 * rings)
         case "paper":
             return plain * (1 + 0.04 * smooth_noise(generator, 20.0)[..., None])
         case "checkers":
-            side = max(look.scale, 4)
+            side = max(appearance.scale, 4)
             return _between(first, second, _square_wave(u, side) * _square_wave(v, side) / 2 + 0.5)
         case "stripes":
-            return _between(first, second, _square_wave(u, max(look.scale, 3)) / 2 + 0.5)
+            return _between(first, second, _square_wave(u, max(appearance.scale, 3)) / 2 + 0.5)
         case "lines":
-            return _lines(plain, second, look, generator)
+            return _lines(plain, second, appearance, generator)
         case "gradient":
             return _between(first, second, np.clip(u / (1.4 * SIZE) + 0.5, 0, 1))
         case "marble":
-            noise = smooth_noise(generator, look.scale) + 0.5 * smooth_noise(
-                generator, look.scale / 3
+            noise = smooth_noise(generator, appearance.scale) + 0.5 * smooth_noise(
+                generator, appearance.scale / 3
             )
             mixed = _between(first, second, np.clip(0.5 + 0.5 * noise, 0, 1))
             return mixed + 0.3 * np.clip(noise - 0.8, 0, 1)[..., None] * (third - mixed)
         case "shapes":
-            return _shapes(plain, look, generator)
+            return _shapes(plain, appearance, generator)
         case "rings":
             middle = generator.uniform(-40, 40, 2)
             radius = np.hypot(_ALONG[None, :] - middle[0], _ALONG[:, None] - middle[1])
-            return _between(first, second, _square_wave(radius, max(look.scale, 4)) / 2 + 0.5)
+            return _between(first, second, _square_wave(radius, max(appearance.scale, 4)) / 2 + 0.5)
         case "text":
             return _texts(plain, second, generator)
         case _:
@@ -106,7 +106,10 @@ def _tuple(color: np.ndarray) -> tuple[float, float, float]:
 
 
 def _lines(
-    plain: np.ndarray, color: np.ndarray, look: GroundLook, generator: np.random.Generator
+    plain: np.ndarray,
+    color: np.ndarray,
+    appearance: GroundAppearance,
+    generator: np.random.Generator,
 ) -> np.ndarray:
     canvas = _levels(plain)
     for _ in range(generator.integers(1, 12)):
@@ -119,18 +122,20 @@ def _lines(
         )
     for _ in range(generator.integers(0, 3)):
         centre = generator.integers(0, SIZE * 16, 2).tolist()
-        radius = int(look.scale * 16)
+        radius = int(appearance.scale * 16)
         cv2.circle(canvas, centre, radius, _tuple(color), 1, cv2.LINE_AA, 4)
     return canvas.astype(np.float32) / 255
 
 
-def _shapes(plain: np.ndarray, look: GroundLook, generator: np.random.Generator) -> np.ndarray:
+def _shapes(
+    plain: np.ndarray, appearance: GroundAppearance, generator: np.random.Generator
+) -> np.ndarray:
     """Dead leaves: shapes over shapes have the statistics of natural pictures."""
     canvas = _levels(plain)
-    palette = np.asarray(look.colors)
+    palette = np.asarray(appearance.colors)
     for _ in range(generator.integers(8, 40)):
         color = palette[generator.integers(3)] + generator.normal(0, 0.1, 3)
-        size = max(look.scale * generator.exponential(0.7), 1.5)
+        size = max(appearance.scale * generator.exponential(0.7), 1.5)
         draw_shape(canvas, generator, generator.uniform(0, SIZE, 2), size, color)
     return canvas.astype(np.float32) / 255
 

@@ -13,7 +13,7 @@ from jaxtyping import Float, UInt8
 
 from rollcast.simulation.appearance import (
     Appearance,
-    BallLook,
+    BallAppearance,
     Clutter,
     draw_appearance,
     draw_ball,
@@ -47,7 +47,7 @@ _TRIES = 30
 class PlanarBall:
     """A ball of a planar scene."""
 
-    look: BallLook
+    appearance: BallAppearance
     radius: float
     """Pixels."""
     path: tuple[tuple[float, float], ...]
@@ -168,9 +168,9 @@ def _draw_other(
 ) -> PlanarBall | None:
     """Draw a ball that overlaps none of the others in any frame; None when there is no room."""
     meant = balls[0]
-    look = meant.look
+    ball_appearance = meant.appearance
     if not alike or generator.random() < 0.3:
-        look = draw_ball(generator, apart_from=mean_color(appearance.ground))
+        ball_appearance = draw_ball(generator, apart_from=mean_color(appearance.ground))
     radius = meant.radius * float(generator.choice([1.0, 1.0, generator.uniform(0.5, 2)]))
     radius = min(max(radius, SMALLEST_RADIUS_PX), LARGEST_RADIUS_PX)
     for _ in range(_TRIES):
@@ -188,7 +188,7 @@ def _draw_other(
         ]
         if min(gaps) > 0:
             places = tuple((float(x), float(y)) for x, y in path)
-            return PlanarBall(look, radius, places, generator.random() < 0.7)
+            return PlanarBall(ball_appearance, radius, places, generator.random() < 0.7)
     return None
 
 
@@ -199,7 +199,7 @@ def paint_planar_scene(scene: PlanarScene) -> PlanarWindow:
     generator = np.random.default_rng(scene.seed)
     empty = _lit_ground(appearance, generator)
     moving = _with_clutter(empty, scene)
-    painters = [BallPainter(ball.look) for ball in scene.balls]
+    painters = [BallPainter(ball.appearance) for ball in scene.balls]
     turns = [random_rotation(generator) for _ in scene.balls]
     pairs = list(zip(scene.balls, painters, turns, strict=True))
     for ball in scene.balls:

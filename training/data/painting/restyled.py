@@ -1,4 +1,4 @@
-"""The paper's scenes in another look: shapes and trajectories stay true."""
+"""The paper's scenes in another appearance: shapes and trajectories stay true."""
 
 import math
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.scene import Scene
 from rollcast.simulation.appearance import (
     Appearance,
-    BallLook,
+    BallAppearance,
     CameraPose,
     Clutter,
     draw_appearance,
@@ -40,7 +40,7 @@ _TRIES = 10
 
 @dataclass(frozen=True)
 class Restyling:
-    """How one window of a scene of the paper's looks.
+    """Appearance of one window of a scene of the paper.
 
     Attributes
     ----------
@@ -54,17 +54,17 @@ class Restyling:
     lamp
         Whether a bowl is lit by the appearance's lamp instead of the paper's light.
     resting
-        Other balls: look, place and radius in pixels.
+        Other balls: appearance, place and radius in pixels.
     seed
         Of orientations.
     """
 
     appearance: Appearance
-    ball: BallLook | None
+    ball: BallAppearance | None
     ground: str
     fields_rad: float
     lamp: bool
-    resting: tuple[tuple[BallLook, tuple[float, float], float], ...]
+    resting: tuple[tuple[BallAppearance, tuple[float, float], float], ...]
     seed: int
 
 
@@ -82,7 +82,7 @@ def draw_restyling(
     scene: Scene,
     path_px: Float[np.ndarray, "frames 2"],
 ) -> Restyling:
-    """Draw the look of a window of a scene with one ball.
+    """Draw the appearance of a window of a scene with one ball.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def draw_restyling(
 
 def _draw_resting(
     generator: np.random.Generator, path_px: np.ndarray, radius: float
-) -> tuple[BallLook, tuple[float, float], float] | None:
+) -> tuple[BallAppearance, tuple[float, float], float] | None:
     size = radius * generator.uniform(0.4, 1.4)
     for _ in range(_TRIES):
         at = generator.uniform(0, SIZE, 2)
@@ -194,13 +194,13 @@ class _SceneMaterials:
             # A lamp's axes are the image's: y down.
             seen = normals * np.array([1, -1, 1])
             return self._painter.lit(seen, body_normals, self._lamp, sharpness)
-        if self._painter.look.pattern in ("metallic", "disc"):
+        if self._painter.appearance.pattern in ("metallic", "disc"):
             lit = self._painter.lit(normals, body_normals, self._lamp, sharpness)
             return lit * light
         colors = self._painter.albedo(body_normals, sharpness) * light
-        look = self._painter.look
-        highlight = np.maximum(2 * normals[..., 2:] ** 2 - 1, 0) ** look.shininess
-        return colors + look.gloss * highlight
+        appearance = self._painter.appearance
+        highlight = np.maximum(2 * normals[..., 2:] ** 2 - 1, 0) ** appearance.shininess
+        return colors + appearance.gloss * highlight
 
 
 def _restyled_ground(
@@ -223,11 +223,11 @@ def _restyled_ground(
     for thing in appearance.clutter:
         if thing.kind not in ("hand", "cue", "shadow"):
             paint_clutter(image, thing, clutter_mask(thing, OBSERVED_FRAMES - 1))
-    for look, at, radius in style.resting:
+    for resting, at, radius in style.resting:
         lamp = appearance.lamp
         cast_soft_shadow(image, np.asarray(at), radius, lamp)
         turn = random_rotation(generator)
-        paint_ball(image, BallPainter(look), np.asarray(at), radius, turn, lamp)
+        paint_ball(image, BallPainter(resting), np.asarray(at), radius, turn, lamp)
     return image, np.asarray(ambient, dtype=np.float32)
 
 
@@ -278,7 +278,7 @@ def _evenly_lit(
 def render_restyled(
     renderer: Renderer, scene: Scene, trajectory: Trajectory, style: Restyling
 ) -> RestyledWindow:
-    """Render the seen frames of a window in another look.
+    """Render the seen frames of a window in another appearance.
 
     Parameters
     ----------

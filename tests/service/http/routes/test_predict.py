@@ -122,7 +122,7 @@ def test_a_variance_scale_widens_the_predicted_covariance(start):
     assert [c[0][0] for c in answer["objects"][0]["covariances"]] == [1, 4, 4]
 
 
-def test_half_radii_are_the_models(start):
+def test_ellipse50_radii_are_the_models(start):
     covariance = {"source": "predicted", "ellipse50_radius": [0.9, 0.8]}
     client = start(lambda _: registry_of(served(covariance=covariance)))
     answer = client.post("/predict", json=body(horizon=3)).json()

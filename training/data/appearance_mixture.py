@@ -1,4 +1,4 @@
-"""What training windows look like: the paper's look, other looks of its scenes, planar scenes."""
+"""Appearance of training windows: the paper's, others of its scenes, planar scenes."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,27 +18,27 @@ from training.data.painting.planar import draw_planar_scene, paint_planar_scene
 from training.data.painting.restyled import draw_restyling, render_restyled
 from training.data.rest_height_map import MAP_CELLS
 from training.data.shards import Recording
-from training.data.windows import Guidance, Look, SceneTargets, Window, WindowMaker
-from training.networks.perception import measures_of
+from training.data.windows import Guidance, SceneTargets, Window, WindowAppearance, WindowMaker
+from training.networks.perception import scene_constants_of
 
 PROMPT_ERROR_PX = 2.5
 """Largest distance of a prompt from the ball's centre; of large balls, half of their radius."""
 
 VALIDATION_SCENES = 200
 VALIDATION_STREAM = 2
-"""Keeps the looks of validation apart from those of training, whose seeds are single numbers."""
+"""Distinguishes the appearances of validation from those of training, whose seeds are numbers."""
 
 KINDS: tuple[Literal["paper", "restyled", "planar"], ...] = ("paper", "restyled", "planar")
 
 
 @dataclass(frozen=True)
-class Looks:
+class AppearanceMixture:
     """Shares of what training windows show, and how many of them have a prompt.
 
     Attributes
     ----------
     paper, restyled, planar
-        Windows of the paper's scenes as the paper has them, in other looks, and of planar scenes.
+        Windows of the paper's scenes as the paper has them, in other appearances, and planar ones.
     prompted_scenes, prompted_planar
         Share of the windows with a prompt.
     """
@@ -49,33 +49,35 @@ class Looks:
     prompted_scenes: float = 0.15
     prompted_planar: float = 0.5
 
-    def draw(self, generator: np.random.Generator) -> Look:
-        """Draw the look of a window."""
+    def draw(self, generator: np.random.Generator) -> WindowAppearance:
+        """Draw the appearance of a window."""
         shares = np.array([self.paper, self.restyled, self.planar])
         kind = KINDS[generator.choice(3, p=shares / shares.sum())]
         share = self.prompted_planar if kind == "planar" else self.prompted_scenes
-        return Look(kind, bool(generator.random() < share), int(generator.integers(2**31)))
+        return WindowAppearance(
+            kind, bool(generator.random() < share), int(generator.integers(2**31))
+        )
 
     def window(
-        self, look: Look, maker: WindowMaker, index: int, start: int, horizon: int
+        self, appearance: WindowAppearance, maker: WindowMaker, index: int, start: int, horizon: int
     ) -> Window:
         """Make a window, with guidance."""
-        generator = np.random.default_rng(look.seed)
-        if look.kind == "planar":
-            return planar_window(generator, horizon, prompted=look.prompted)
-        if look.kind == "restyled":
+        generator = np.random.default_rng(appearance.seed)
+        if appearance.kind == "planar":
+            return planar_window(generator, horizon, prompted=appearance.prompted)
+        if appearance.kind == "restyled":
             window = restyled_window(generator, maker, index, start, horizon)
         else:
             window = maker.window(index, start, horizon)
             shake = np.zeros((OBSERVED_FRAMES, 2))
             window = window._replace(guidance=_unprompted(window, shake, _radius_px(maker, index)))
-        return _prompted(generator, window) if look.prompted else window
+        return _prompted(generator, window) if appearance.prompted else window
 
 
-def other_looks(
+def other_appearances(
     recordings: Mapping[str, Sequence[Recording]], horizon: int
 ) -> dict[str, list[Window]]:
-    """Windows without prompts to validate with: scenes in fixed other looks, and planar scenes.
+    """Windows without prompts for validation: scenes in fixed other appearances, planar scenes.
 
     Parameters
     ----------
@@ -126,7 +128,7 @@ def planar_window(generator: np.random.Generator, horizon: int, *, prompted: boo
 def restyled_window(
     generator: np.random.Generator, maker: WindowMaker, index: int, start: int, horizon: int
 ) -> Window:
-    """Render a window of a scene with one ball in another look; its truth follows the camera."""
+    """Render a window of a scene with one ball in another appearance; truth follows the camera."""
     recording = maker.recording(index)
     scene = recording.scene
     seen = recording.trajectory.window(start, OBSERVED_FRAMES)
@@ -164,9 +166,9 @@ def _posed_scene_targets(scene_targets: SceneTargets, pose: CameraPose) -> Scene
             ground,
             np.full(2, np.nan),
         )
-    half_width, radius = lengths_of(scene_targets.measures)
-    measures = measures_of(half_width / pose.scale, radius)
-    return SceneTargets(np.concatenate([flat, heights], axis=-1), ground, measures)
+    half_width, radius = lengths_of(scene_targets.scene_constants)
+    constants = scene_constants_of(half_width / pose.scale, radius)
+    return SceneTargets(np.concatenate([flat, heights], axis=-1), ground, constants)
 
 
 def _turned_spins(
@@ -199,9 +201,9 @@ def _prompted(generator: np.random.Generator, window: Window) -> Window:
     return window._replace(guidance=window.guidance._replace(prompts=prompts))
 
 
-def lengths_of(measures: Float[np.ndarray, "2"]) -> tuple[float, float]:
-    """Half-width of the view and radius of the ball, metres, from a scene_targets's measures."""
-    usual = measures_of(0.0, 0.0)
-    scale = measures_of(1.0, 1.0) - usual
-    half_width, radius = ((measures - usual) / scale).tolist()
+def lengths_of(constants: Float[np.ndarray, "2"]) -> tuple[float, float]:
+    """Half-width of the view and radius of the ball, metres, from the constants of SceneTargets."""
+    usual = scene_constants_of(0.0, 0.0)
+    scale = scene_constants_of(1.0, 1.0) - usual
+    half_width, radius = ((constants - usual) / scale).tolist()
     return half_width, radius

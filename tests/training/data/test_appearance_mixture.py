@@ -1,4 +1,4 @@
-"""Windows of other looks: what the camera does to a picture, it does to the truth."""
+"""Windows of other appearances: what the camera does to a picture, it does to the truth."""
 
 import math
 from dataclasses import replace
@@ -9,17 +9,23 @@ import torch
 
 from rollcast.simulation import Simulator
 from rollcast.simulation.appearance import CameraPose, Sensor, draw_appearance
-from training.data.looks import Looks, lengths_of, planar_window, posed, restyled_window
+from training.data.appearance_mixture import (
+    AppearanceMixture,
+    lengths_of,
+    planar_window,
+    posed,
+    restyled_window,
+)
 from training.data.painting.camera import posed_frames, posed_points, shaken, unposed_points
 from training.data.painting.planar import draw_planar_scene, paint_planar_scene
 from training.data.painting.sensor import through_sensor
 from training.data.rest_height_map import resting_ground
 from training.data.scene_cache import SceneCache
 from training.data.shards import Recording
-from training.data.windows import Look, Symmetry, WindowMaker, collate
-from training.networks.perception import measures_of
+from training.data.windows import Symmetry, WindowAppearance, WindowMaker, collate
+from training.networks.perception import scene_constants_of
 from training.networks.recurrent import PerceptionOutput
-from training.objectives.losses import ReadingLoss
+from training.objectives.losses import PerceptionLoss
 
 POSE = CameraPose(1.2, (3.0, -2.0), 0.5, (0.1, -0.05), 0.08)
 HORIZON = 8
@@ -93,9 +99,9 @@ def test_a_nearer_camera_sees_a_smaller_part_of_a_larger_ball(maker):
     near = posed(window, CameraPose(scale=1.25))
     assert window.scene_targets is not None
     assert near.scene_targets is not None
-    half_width, radius = lengths_of(window.scene_targets.measures)
-    expected = measures_of(half_width / 1.25, radius)
-    np.testing.assert_allclose(near.scene_targets.measures, expected)
+    half_width, radius = lengths_of(window.scene_targets.scene_constants)
+    expected = scene_constants_of(half_width / 1.25, radius)
+    np.testing.assert_allclose(near.scene_targets.scene_constants, expected)
     heights = near.scene_targets.centres[..., 2] / window.scene_targets.centres[..., 2]
     np.testing.assert_allclose(heights, 1.25)
 
@@ -124,25 +130,34 @@ def test_the_truth_of_a_restyled_window_is_that_of_its_scene(maker, index):
     assert len({window.frames.tobytes() for window in windows}) == len(windows)
 
 
-def test_windows_are_functions_of_their_look(maker):
-    for look in (Look("planar", True, 4), Look("restyled", False, 4), Look("paper", True, 4)):
-        one, other = (Looks().window(look, maker, 0, 5, HORIZON) for _ in range(2))
+def test_windows_are_functions_of_their_appearance(maker):
+    for appearance in (
+        WindowAppearance("planar", True, 4),
+        WindowAppearance("restyled", False, 4),
+        WindowAppearance("paper", True, 4),
+    ):
+        one, other = (
+            AppearanceMixture().window(appearance, maker, 0, 5, HORIZON) for _ in range(2)
+        )
         np.testing.assert_array_equal(one.frames, other.frames)
         np.testing.assert_array_equal(one.guidance.prompts, other.guidance.prompts)
 
 
 def test_the_papers_look_stays_as_it_is(maker):
-    window = Looks().window(Look("paper", False, 1), maker, 1, 5, HORIZON)
+    window = AppearanceMixture().window(WindowAppearance("paper", False, 1), maker, 1, 5, HORIZON)
     np.testing.assert_array_equal(window.frames, maker.window(1, 5, HORIZON).frames)
     assert np.isnan(window.guidance.prompts).all()
 
 
 def test_shares_of_looks_are_as_asked_for():
     generator = np.random.default_rng(0)
-    looks = [Looks().draw(generator) for _ in range(2000)]
-    shares = {kind: np.mean([look.kind == kind for look in looks]) for kind in ("paper", "planar")}
+    drawn = [AppearanceMixture().draw(generator) for _ in range(2000)]
+    shares = {
+        kind: np.mean([appearance.kind == kind for appearance in drawn])
+        for kind in ("paper", "planar")
+    }
     assert shares["paper"] == pytest.approx(0.40, abs=0.04)
-    planar = [look.prompted for look in looks if look.kind == "planar"]
+    planar = [appearance.prompted for appearance in drawn if appearance.kind == "planar"]
     assert np.mean(planar) == pytest.approx(0.5, abs=0.06)
 
 
@@ -182,9 +197,9 @@ def test_a_planar_ball_is_where_the_truth_says():
         if not ball.moves or ball.radius > 12 or np.ptp(ball.path, axis=0).max() < 8:
             continue
         lamp = replace(scene.appearance.lamp, shadow=0.0)
-        look = replace(ball.look, pattern="plain", gloss=0.0)
+        appearance = replace(ball.appearance, pattern="plain", gloss=0.0)
         quiet = replace(scene.appearance, clutter=(), sensor=Sensor(), lamp=lamp)
-        alone = replace(scene, appearance=quiet, balls=(replace(ball, look=look),))
+        alone = replace(scene, appearance=quiet, balls=(replace(ball, appearance=appearance),))
         window = paint_planar_scene(alone)
         x, y = window.path[-1]
         if min(x, y, 128 - x, 128 - y) < ball.radius:
@@ -227,27 +242,27 @@ def test_what_is_not_known_costs_nothing():
     torch.manual_seed(0)
     window = planar_window(np.random.default_rng(1), HORIZON, prompted=False)
     batch = collate([window])
-    centres, ground, measures = batch["scene_targets"]
+    centres, ground, constants = batch["scene_targets"]
     seen = centres[:, :, :4, :2]
-    reading = PerceptionOutput(
+    perceived = PerceptionOutput(
         (seen, seen, seen), torch.randn(1, 3, 32, 32), torch.randn(1, 2),
         torch.cat([seen[:, :, 3], torch.randn(1, 1, 1)], dim=-1),
         torch.cat([seen[:, :, 3] - seen[:, :, 2], torch.randn(1, 1, 1)], dim=-1),
         torch.randn(1, 1, 3), torch.randn(1, 1, 4),
     )  # fmt: skip
-    tensors = [part.requires_grad_() for part in reading[1:-1]]
+    tensors = [part.requires_grad_() for part in perceived[1:-1]]
     shake, radii = (part / 64 for part in batch["guidance"][1:])
     still = torch.zeros_like(shake)
-    loss = ReadingLoss()(reading, (centres, ground, measures), still, radii)
+    loss = PerceptionLoss()(perceived, (centres, ground, constants), still, radii)
     loss.backward()
     assert float(loss.detach()) == pytest.approx(0, abs=1e-4)
     for tensor in tensors:
         assert tensor.grad is None or torch.isfinite(tensor.grad).all()
-    unknown = reading.centres.grad
+    unknown = perceived.centres.grad
     assert unknown is not None
     assert float(unknown[..., 2].abs().max()) == 0
-    off = reading._replace(seen_positions=(seen, seen, seen + 0.1))
-    cost = ReadingLoss()(off, (centres, ground, measures), still, radii)
+    off = perceived._replace(seen_positions=(seen, seen, seen + 0.1))
+    cost = PerceptionLoss()(off, (centres, ground, constants), still, radii)
     assert float(cost.detach()) > 1
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rollcast.manifest import MANIFEST_FILE, Manifest
-from training.orchestration.campaign import (
+from training.orchestration.auto_training import (
     OUTCOME,
     Line,
     Outcome,

@@ -1,6 +1,6 @@
 """Trains every family of models in rounds, for as long as it is left running.
 
-A round is a training of its own that begins with the family's committed models. The campaign goes
+A round is a training of its own that begins with the family's committed models. Automatic training goes
 on with a round that was interrupted, then begins families that have no round yet, in order, and
 then gives the next round to the family whose last one lowered its validation error most. All rounds
 show the same number of sequences.
@@ -108,7 +108,7 @@ def next_rounds(known: Sequence[Line], folder: Path, models: Path, sequences: in
     Parameters
     ----------
     folder
-        Folder of the campaign's rounds.
+        Folder of the rounds.
     sequences
         Budget of a round.
     """
