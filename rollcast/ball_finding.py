@@ -131,7 +131,7 @@ def find_balls(
         kept = scores > LEAST_SCORE
         kept[:1] = True
         found = Candidates(*(said[field.name][0][kept] for field in fields(Candidates)))
-        balls = _looked_at(refine, frames, found)
+        balls = _refined(refine, frames, found)
         if not (balls.scores * balls.moving > SURELY_MOVING).any():
             balls = balls.joined(_small_balls(detect, refine, frames))
         return balls.taken(_distinct(balls.places[:, -1], balls.radii, balls.scores)), said
@@ -143,7 +143,7 @@ def find_balls(
     stays = off > np.maximum(known, 3 / 64)
     places[stays, -1] = prompts[stays]
     found = Candidates(places, known, np.ones(len(known)), voted["moving"])
-    return _looked_at(refine, frames, found), said
+    return _refined(refine, frames, found), said
 
 
 def _small_balls(
@@ -164,7 +164,7 @@ def _small_balls(
     found = found.taken(found.scores * found.moving > SURELY_MOVING)
     if not len(found.radii):
         return None
-    balls = _looked_at(refine, frames, found)
+    balls = _refined(refine, frames, found)
     balls = balls.taken(balls.scores * balls.moving > SURELY_MOVING)
     return replace(balls, scores=TILE_SCORE_FACTOR * balls.scores)
 
@@ -204,7 +204,7 @@ def votes_at(
     }
 
 
-def _looked_at(refine: Refine, frames: np.ndarray, found: Candidates) -> Balls:
+def _refined(refine: Refine, frames: np.ndarray, found: Candidates) -> Balls:
     """Refine candidates in patches of the frames."""
     places, radii = found.places, found.radii
     for _ in range(PASSES - 1):
@@ -260,7 +260,7 @@ class Sightings(_Rows):
     visible: Float[np.ndarray, "balls 4"]
     """How surely each is seen in the frames, 0..1; 1 of coarse ones."""
     refined: Bool[np.ndarray, " balls"]
-    """Whether patches were cut; the others lie where the coarse detector saw them."""
+    """Mask of the balls whose patches were cut; the detector placed the others."""
 
 
 def sight_balls(
@@ -289,7 +289,7 @@ def sight_balls(
     visible = np.ones(found.places.shape[:2], np.float32)
     closer = refine_still | (found.scores * found.moving > LEAST_MOTION)
     if closer.any():
-        balls = _looked_at(refine, frames, found.taken(closer))
+        balls = _refined(refine, frames, found.taken(closer))
         for values, refined in (
             (found.places, balls.places), (found.radii, balls.radii),
             (found.scores, balls.scores), (found.moving, balls.moving), (visible, balls.visible),

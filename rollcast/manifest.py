@@ -32,13 +32,14 @@ MANIFEST_FILE = "manifest.json"
 CARD_FILE = "MODEL_CARD.md"
 GOLDEN_FILE = "golden.npz"
 OOD_FILE = "ood.npz"
-"""What the training frames look like (``rollcast.ood``); not every artefact has it."""
+"""Statistics of the training frames (``rollcast.ood``); not every artefact has them."""
 DETECTOR_FILE, REFINER_FILE = "detector.onnx", "refiner.onnx"
-"""Of networks for any number of balls: whole frames to candidates, and patches around them."""
+"""Graphs of networks for any number of balls: whole frames to candidates, and patches around them.
+"""
 HASHED_FILES = (ENCODER_FILE, STEP_FILE, CARD_FILE, GOLDEN_FILE)
-"""Those that every artefact has."""
+"""Files that every artefact has."""
 BALL_FILES = (DETECTOR_FILE, REFINER_FILE, *HASHED_FILES)
-"""Those of an artefact for any number of balls."""
+"""Files of an artefact for any number of balls."""
 
 FRAMES_INPUT = "frames"
 """Input of the first graph, uint8 [B, frames, 128, 128, 3]; also the golden frames' name."""
@@ -47,7 +48,7 @@ PATCHES_INPUT = "patches"
 DETECTOR_OUTPUTS = ("places", "radii", "scores", "moving", "votes", "ground", "scene")
 REFINER_OUTPUTS = ("offsets", "log_radius", "visible", "log_sigmas", "features")
 BALL_INPUTS = ("places", "radii", "log_sigmas", "features")
-"""What the encoder's graph reads of every ball, [B, N, ...], and of the whole frames:"""
+"""Inputs of the encoder's graph for every ball, [B, N, ...], and for the whole frames:"""
 SCENE_INPUTS = ("ground", "scene")
 SPACING_INPUT = "spacing"
 """Time between two seen frames [B], in steps of the rollout, which the encoder's graph reads too.
@@ -136,7 +137,7 @@ class MetricRow(_Part):
     angular_velocity_rmse: float | None = None
     """rad/s."""
     nll_nats: float | None = None
-    """Mean negative log likelihood; the paper calls it perplexity."""
+    """Mean negative log likelihood, nats."""
     coverage_50: float | None = None
     """Share of truths inside the 50 % ellipse."""
     coverage_95: float | None = None
@@ -155,12 +156,12 @@ class Parity(_Part):
 
 
 class OodThreshold(_Part):
-    """When frames look unlike those of the training (``rollcast.ood``)."""
+    """Threshold of the out-of-distribution score (``rollcast.ood``)."""
 
     threshold: Positive
-    """Score above which they do."""
+    """Score above which frames are out of distribution."""
     false_alarm_rate: Annotated[float, Field(ge=0, le=1)]
-    """Share of the test split's windows above it, which look as the training's do."""
+    """Share of the test split's windows above it, which are in distribution."""
     test_windows: Annotated[int, Field(ge=1)]
 
 
@@ -178,7 +179,7 @@ class CameraSetup(_Part):
     """The set-up whose footage a model was trained on."""
 
     colors: tuple[BallColor, ...]
-    """Of each ball, in the order of the tracks."""
+    """Colour of each ball, in the order of the tracks."""
     crop: tuple[int, int, Annotated[int, Field(ge=1)]]
     """x, y and size of the square of the camera's pictures that frames show, pixels."""
 
@@ -235,14 +236,14 @@ class Manifest(_Part):
     golden_tolerance: dict[KnownOutput, Positive]
     """Largest absolute difference from golden.npz at which the model is served."""
     setup: CameraSetup | None = None
-    """Of models for footage, and of them alone."""
+    """Set-up of models for footage; None for all others."""
     random_appearances: bool = False
     """Training on frames of random appearance: "auto" uses such a model where the frames are out of
     distribution for the model that it would choose."""
     kinematic: KinematicSource | None = None
-    """Of models for any number of balls."""
+    """Kinematic forecasts of models for any number of balls; None for all others."""
     place_uncertainty: PlaceUncertainty | None = None
-    """Of models that predict covariances, for a fixed number of balls."""
+    """Threshold of models that predict covariances for a fixed number of balls."""
     ood: OodThreshold | None = None
     """None without OOD_FILE: such a model cannot tell."""
     files: dict[str, Sha256]

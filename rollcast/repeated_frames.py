@@ -16,9 +16,9 @@ from rollcast.footage import TakenFrame
 COMPARED_PX = 256
 """Longer side of the grey pictures that are compared, about."""
 LARGEST_CHANGE = 20
-"""Of a grey value (0 to 255), up to which a pixel is the same: what compression does to it."""
+"""Change of a grey value (0 to 255) up to which a pixel is the same, due to compression."""
 MEAN_CHANGE = 0.1
-"""Of all grey values. The noise of a sensor makes more, even where nothing moves."""
+"""Mean change of all grey values. The noise of a sensor makes more, even where nothing moves."""
 LONGEST_S = 0.25
 """Time without a new frame after which the scene stands still, and nothing is repeated."""
 

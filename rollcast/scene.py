@@ -29,7 +29,7 @@ COLORS: tuple[Color, ...] = tuple(PALETTE)
 
 MAX_OBJECTS = len(COLORS)
 MAX_FORECAST_OBJECTS = 4
-"""Of a forecast: footage of a user's own set-up may show one more than scenes."""
+"""Objects of a forecast: footage of a user's own set-up may show one more than scenes."""
 
 MAX_BALLS = 8
 """Balls of a forecast by a model for any number of balls."""
@@ -38,7 +38,7 @@ Domain: TypeAlias = Literal["hemisphere", "ellipsoid", "heightfield", "table", "
 """Domain of a model: a simulated scenario, or footage of a user's own set-up."""
 
 BallColor: TypeAlias = Color | Annotated[str, Field(pattern=r"^#[0-9a-f]{6}$")]
-"""Of a ball in footage: its mean colour there. All are colours of CSS."""
+"""Colour of a ball in footage: its mean colour there. All are colours of CSS."""
 
 MAX_SEED = 2**53 - 1
 """Largest seed: every seed survives JSON, whose numbers are doubles."""

@@ -258,7 +258,7 @@ class SeenBall(ResponseBody):
 
 
 Motion = Literal["network", "kinematic"]
-"""What moves a ball in a forecast: the model's network, or a Kalman filter of constant velocity."""
+"""Source of a ball's motion: the model's network, or a Kalman filter of constant velocity."""
 
 
 class AlternativeForecast(ResponseBody):
@@ -304,7 +304,7 @@ class DetectRequest(RequestBody):
     min_score: Annotated[Number, Field(ge=0, le=1)] = 0.25
     """Score of the coarse detector from which on a candidate is reported."""
     refine_still: Flag = True
-    """Whether balls that hardly move are refined too; without it the answer takes less time."""
+    """Refinement of balls that hardly move, too; without it the answer takes less time."""
 
 
 class DetectedBall(ResponseBody):
@@ -380,7 +380,7 @@ class StreamStep(ResponseBody):
     time_s: float
     """Seconds after the last observed frame."""
     ellipse50_radius: float
-    """Of this step, as in ``PredictResponse.ellipse50_radii``."""
+    """Radius of this step, as in ``PredictResponse.ellipse50_radii``."""
     objects: list[StreamObject]
 
 
@@ -548,7 +548,7 @@ class ModelSetup(ResponseBody):
     """The set-up whose footage a model was trained on."""
 
     colors: list[BallColor]
-    """Of each ball, in the order of a forecast's objects."""
+    """Colour of each ball, in the order of a forecast's objects."""
     crop: tuple[int, int, int]
     """x, y and size of the square of the camera's pictures that frames show, pixels."""
 
@@ -615,9 +615,9 @@ class FieldError(ResponseBody):
     field: str | None = None
     """Path of the field: ``frames[2]``, ``scene.radius_m``."""
     value: JsonValue = None
-    """What was given, shortened."""
+    """Given value, shortened."""
     expected: str | None = None
-    """What would be right."""
+    """Expected value."""
 
 
 class Problem(ResponseBody):

@@ -50,7 +50,7 @@ VELOCITY = np.array([0.01, 0.004])
 """Start of the first ball, offset between balls, and velocity per step, in shares of the frame."""
 RADIUS = 0.05
 SCORE = 0.99
-"""Of balls that were asked for."""
+"""Score of balls that a prompt selects."""
 SURFACE_POINTS = 9
 TURNING_RAD_S = (0.0, 1.0, 0.0)
 
@@ -94,7 +94,7 @@ def typed(
 
 
 def forecast(
-    wish: PredictRequest, positions: np.ndarray | None, variance_px2: float
+    request: PredictRequest, positions: np.ndarray | None, variance_px2: float
 ) -> PredictResponse:
     """Answer with chosen positions [objects, steps, 2], or with balls on lines.
 
@@ -106,20 +106,20 @@ def forecast(
     RefusalError
         When the frames cannot be read or the positions do not suffice.
     """
-    size = _size(wish.frames, square=wish.balls is None)
+    size = _size(request.frames, square=request.balls is None)
     side = max(size)
-    objects = wish.num_objects if wish.balls is None else len(wish.balls)
-    if wish.num_objects not in (None, objects):
+    objects = request.num_objects if request.balls is None else len(request.balls)
+    if request.num_objects not in (None, objects):
         raise RefusalError(
-            _wrong("num_objects", wish.num_objects, f"{objects}, the number of balls")
+            _wrong("num_objects", request.num_objects, f"{objects}, the number of balls")
         )
-    rate = wish.frame_rate or FRAME_RATE_HZ
-    step_rate = wish.step_rate or rate
+    rate = request.frame_rate or FRAME_RATE_HZ
+    step_rate = request.step_rate or rate
     if positions is None:
-        ahead = np.arange(wish.horizon or DEFAULT_HORIZON) * (rate / step_rate)
-        starts = _starts(wish.balls, objects or 1, side)
+        ahead = np.arange(request.horizon or DEFAULT_HORIZON) * (rate / step_rate)
+        starts = _starts(request.balls, objects or 1, side)
         positions = starts[:, None] + ahead[:, None] * side * VELOCITY
-    horizon = wish.horizon or positions.shape[1]
+    horizon = request.horizon or positions.shape[1]
     if horizon > positions.shape[1]:
         raise RefusalError(
             _wrong("horizon", horizon, f"at most {positions.shape[1]}, as many as given")
@@ -137,14 +137,14 @@ def forecast(
                 color=COLORS[ball % len(COLORS)],
                 **_made_outputs(path[:horizon], variance_px2),
                 covariance_source="predicted",
-                score=None if wish.balls is None else SCORE,
-                seen=None if wish.balls is None else _seen(wish.balls[ball], path[0], side),
+                score=None if request.balls is None else SCORE,
+                seen=None if request.balls is None else _seen(request.balls[ball], path[0], side),
             )
             for ball, path in enumerate(positions)
         ],
         times_s=[step / step_rate for step in range(horizon)],
         ellipse50_radii=[GAUSSIAN_ELLIPSE50_RADIUS] * horizon,
-        **_made_ends(wish, positions[:, horizon - 1]),
+        **_made_ends(request, positions[:, horizon - 1]),
         warnings=[f"The horizon of {horizon} steps exceeds the {TRAINED_HORIZON} trained ones."]
         if horizon > TRAINED_HORIZON
         else [],
@@ -152,9 +152,9 @@ def forecast(
     )
 
 
-def detection(wish: DetectRequest) -> DetectResponse:
+def detection(request: DetectRequest) -> DetectResponse:
     """Answer with the first ball of forecasts."""
-    size = _size(wish.frames, square=False)
+    size = _size(request.frames, square=False)
     side = max(size)
     (start,) = _starts(None, 1, side)
     prompt = BallPrompt(x=float(start[0]), y=float(start[1]))
@@ -200,21 +200,21 @@ def events(whole: PredictResponse) -> bytes:
     ).encode()
 
 
-def simulation(wish: SimulateRequest) -> SimulateResponse:
+def simulation(request: SimulateRequest) -> SimulateResponse:
     """Answer with discs that roll along lines over a dark frame."""
-    side = wish.image_size
-    indices = np.arange(wish.steps)
-    paths = [_line(ball, indices, side) for ball in range(wish.balls)]
-    scene = _scene(wish)
+    side = request.image_size
+    indices = np.arange(request.steps)
+    paths = [_line(ball, indices, side) for ball in range(request.balls)]
+    scene = _scene(request)
     return SimulateResponse(
-        scenario=wish.scenario,
-        seed=wish.seed,
+        scenario=request.scenario,
+        seed=request.seed,
         frame_rate=FRAME_RATE_HZ,
         frame_size=(side, side),
-        start_step=wish.start_step or 0,
+        start_step=request.start_step or 0,
         times_s=(indices / FRAME_RATE_HZ).tolist(),
         frames=[_drawn([path[index] for path in paths], side) for index in indices]
-        if wish.include_frames
+        if request.include_frames
         else None,
         objects=[
             SimulatedObject(
@@ -222,11 +222,11 @@ def simulation(wish: SimulateRequest) -> SimulateResponse:
                 color=COLORS[ball],
                 radius_px=RADIUS * side,
                 positions=path.tolist(),
-                angular_velocities=[TURNING_RAD_S] * wish.steps,
+                angular_velocities=[TURNING_RAD_S] * request.steps,
             )
             for ball, path in enumerate(paths)
         ],
-        surface=_ground(scene) if wish.include_surface else None,
+        surface=_ground(scene) if request.include_surface else None,
         scene=scene,
     )
 
@@ -351,35 +351,35 @@ def _made_outputs(path: np.ndarray, variance_px2: float) -> dict[OutputName, Any
     }
 
 
-def _made_ends(wish: PredictRequest, last: np.ndarray) -> dict[OutputName, Any]:
+def _made_ends(request: PredictRequest, last: np.ndarray) -> dict[OutputName, Any]:
     """Return the outputs that belong to no step: the balls' last positions with a final frame."""
     known = {"final_positions": last}
     return {
         spec.name: None
-        if wish.final_frame is None
+        if request.final_frame is None
         else np.broadcast_to(known.get(spec.name, 0.0), (len(last), *spec.shape)).tolist()
         for spec in FORECAST_OUTPUTS
     }
 
 
-def _scene(wish: SimulateRequest) -> Scene:
-    shape: dict[str, Any] = {"axis_ratio": 0.75 if wish.scenario == "ellipsoid" else 1.0}
-    if wish.scenario == "heightfield":
+def _scene(request: SimulateRequest) -> Scene:
+    shape: dict[str, Any] = {"axis_ratio": 0.75 if request.scenario == "ellipsoid" else 1.0}
+    if request.scenario == "heightfield":
         shape = {
             "noise_scale": 0.5,
             "noise_offset_m": (0.0, 0.0),
             "light_position_m": (1.0, 1.0, 2.0),
         }
-    elif wish.scenario == "table":
+    elif request.scenario == "table":
         shape = {"slope": (0.0, 0.0), "walls_m": (-1.2, -1.2, 1.2, 1.2)}
     sampled: dict[str, Any] = {
-        "scenario": wish.scenario,
-        "seed": wish.seed,
-        "textured": wish.balls == 1,
+        "scenario": request.scenario,
+        "seed": request.seed,
+        "textured": request.balls == 1,
         "radius_m": 0.1,
         "rotation_rad": 0.0,
-        "positions_m": [(-0.4, 0.4 - 0.4 * ball, -0.5) for ball in range(wish.balls)],
-        "velocities_m_s": [(0.8, -0.3, 0.0)] * wish.balls,
-        "orientations_xyzw": [(0.0, 0.0, 0.0, 1.0)] * wish.balls,
+        "positions_m": [(-0.4, 0.4 - 0.4 * ball, -0.5) for ball in range(request.balls)],
+        "velocities_m_s": [(0.8, -0.3, 0.0)] * request.balls,
+        "orientations_xyzw": [(0.0, 0.0, 0.0, 1.0)] * request.balls,
     }
-    return Scene.model_validate(sampled | shape | wish.parameters)
+    return Scene.model_validate(sampled | shape | request.parameters)

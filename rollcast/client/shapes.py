@@ -28,7 +28,7 @@ def checked_times(name: str, values: Sequence[float]) -> np.ndarray:
     return times_s
 
 
-def require(condition: bool, mistake: str) -> None:
+def require(condition: bool, message: str) -> None:
     """Raise ValueError unless a condition of a consistent answer holds."""
     if not condition:
-        raise ValueError(mistake)
+        raise ValueError(message)

@@ -130,8 +130,8 @@ class FakeService(httpx2.MockTransport):
         match recorded.method, recorded.path.strip("/").split("/"):
             case "POST", ["predict", *stream] if stream in ([], ["stream"]):
                 body = fakes.typed(recorded.fields, recorded.frames, recorded.final_frame)
-                wish = PredictRequest.model_validate(body)
-                forecast = fakes.forecast(wish, self._positions, self._variance_px2)
+                predict_request = PredictRequest.model_validate(body)
+                forecast = fakes.forecast(predict_request, self._positions, self._variance_px2)
                 if not stream:
                     return _json(forecast)
                 return httpx2.Response(

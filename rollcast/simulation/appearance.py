@@ -51,7 +51,7 @@ class BallAppearance:
     shininess: float
     """Phong exponent of the highlight."""
     seed: int
-    """Of axes, spots and digits."""
+    """Seed of axes, spots and digits."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Lamp:
     shadow: float
     """Darkening of the ground behind a ball, 0..1."""
     shadow_offset: float
-    """Of the shadow from the ball, ball radii."""
+    """Offset of the shadow from the ball, ball radii."""
     shadow_softness: float
     """Width of a shadow's edge, ball radii."""
 

@@ -37,7 +37,7 @@ MAX_ATTEMPTS = 1000
 MAX_ATTEMPTS_WITH_PARAMETERS = 200
 """A seed alone always finds its scene; fixed parameters may leave none to be found."""
 
-MAX_JUDGED_FRAMES = 2000
+MAX_CHECKED_FRAMES = 2000
 """Balls that could still leave the bowl after this long are not waited for."""
 
 
@@ -158,18 +158,18 @@ class Simulator:
         states = [world.state()]
         still = 0
         # Balls on a table may come to rest, and there is no rim to pass.
-        judged = scene.scenario == "table"
-        while len(states) < frames or not judged:
+        checked = scene.scenario == "table"
+        while len(states) < frames or not checked:
             world.step_frame()
             states.append(world.state())
-            if judged:
+            if checked:
                 continue
-            if world.left_bowl() or len(states) > MAX_JUDGED_FRAMES:
+            if world.left_bowl() or len(states) > MAX_CHECKED_FRAMES:
                 return None
             still = still + 1 if max(world.speeds_m_s()) < STOPPED_M_S else 0
             if still == STOPPED_FRAMES and len(states) <= MIN_FRAMES:
                 return None
-            judged = len(states) >= MIN_FRAMES and not world.can_leave_bowl()
+            checked = len(states) >= MIN_FRAMES and not world.can_leave_bowl()
         return as_trajectory(states)
 
 

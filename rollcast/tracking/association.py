@@ -26,7 +26,7 @@ BEGINNINGS = 2
 OUTLIER_RATE = 0.02
 """Share of a ball's pixels that may have any colour: reflections, dirt."""
 COLOR_WEIGHT = 0.3
-"""Of a frame's colours: those of neighbouring frames say the same."""
+"""Weight of a frame's colours: those of neighbouring frames say the same."""
 SUREST = 4.0
 """Most that one frame's colours say, in nats."""
 CONTINUED = 12.0
@@ -38,7 +38,7 @@ SUCCESSORS = 3
 GAP = 0.01
 """Relative distance from the best assignment with which one is good enough."""
 SOLVER_S = 30.0
-"""Of one program; the best assignment until then counts."""
+"""Time limit of one program; the best assignment until then counts."""
 
 
 @dataclass(frozen=True)

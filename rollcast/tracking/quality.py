@@ -57,7 +57,7 @@ class Quality(BaseModel):
 
     clip: str
     frames: int
-    """Those that repeat the one before are not counted."""
+    """Number of frames without those that repeat the one before."""
     repeated: int = 0
     """Frames that repeat the one before, which are left out."""
     seconds: float
@@ -74,12 +74,12 @@ UNCERTAIN = 5.0
 """Nats below which an encounter is a suspected swap."""
 
 
-def quality_of(tracks: Tracks, encounters: Sequence[CloseApproach], repeated: int = 0) -> Quality:
+def quality_of(tracks: Tracks, approaches: Sequence[CloseApproach], repeated: int = 0) -> Quality:
     """Report on tracks.
 
     Parameters
     ----------
-    encounters
+    approaches
         All of them, uncertain or not.
     repeated
         Number of frames that were left out.
@@ -108,7 +108,7 @@ def quality_of(tracks: Tracks, encounters: Sequence[CloseApproach], repeated: in
         found=float(tracks.found.mean()),
         balls=of_balls,
         gaps=gaps,
-        suspected_swaps=[one for one in encounters if one.evidence < UNCERTAIN],
+        suspected_swaps=[one for one in approaches if one.evidence < UNCERTAIN],
         jumps=[jump for ball in range(tracks.balls) for jump in _jumps(tracks, ball)],
     )
 

@@ -77,15 +77,15 @@ def track(
         When a service that finds the balls fails.
     """
     source = path if not isinstance(path, Path) else open_clip(path)
-    reading = _Reading(source, crop)
-    tracklets = link_tracklets(reading.detections(finder))
-    frames = len(reading.times_s)
+    reader = _ClipReader(source, crop)
+    tracklets = link_tracklets(reader.detections(finder))
+    frames = len(reader.times_s)
     if frames < FEWEST_FRAMES:
         raise FootageError(
             f"{source.name} has {frames} different frames, expected at least {FEWEST_FRAMES} to "
             "track balls in"
         )
-    if (changing := float(np.median(reading.changes))) > MOST_CHANGING:
+    if (changing := float(np.median(reader.changes))) > MOST_CHANGING:
         raise FootageError(
             f"{source.name}: {changing:.0%} of the picture change from frame to frame; tracking "
             "needs a fixed camera and even light"
@@ -99,13 +99,13 @@ def track(
     count = min(balls or balls_in(moving, frames, MAX_BALLS), len(moving))
     known = _ordered(assign_identities(moving, frames, count), like)
     owners = _owners(moving, known, frames, count)
-    tracks = _tracks(name or Path(source.name).stem, reading, moving, owners, known)
-    encounters = list(_encounters(tracks, moving, owners, known.palettes))
-    return Tracked(tracks, quality_of(tracks, encounters, reading.repeated), known.palettes)
+    tracks = _tracks(name or Path(source.name).stem, reader, moving, owners, known)
+    approaches = list(_close_approaches(tracks, moving, owners, known.palettes))
+    return Tracked(tracks, quality_of(tracks, approaches, reader.repeated), known.palettes)
 
 
-class _Reading:
-    """A clip that is read once, and what is kept of it."""
+class _ClipReader:
+    """Reader of a clip, which reads it once and keeps frame numbers and times."""
 
     def __init__(self, source: FrameSource, crop: SquareCrop | None) -> None:
         self._source = source
@@ -176,13 +176,13 @@ def _owners(
 
 def _tracks(
     name: str,
-    reading: _Reading,
+    reader: _ClipReader,
     tracklets: Sequence[Tracklet],
     owners: np.ndarray,
     known: Identities,
 ) -> Tracks:
     shape = owners.shape
-    times_s = np.array(reading.times_s)
+    times_s = np.array(reader.times_s)
     positions, radii = np.full((*shape, 2), np.nan), np.full(shape, np.nan)
     confidences = np.zeros(shape)
     for ball in range(shape[1]):
@@ -195,15 +195,15 @@ def _tracks(
         seen = np.flatnonzero(owners[:, ball] >= 0)
         own.sort(key=lambda one: one.first)
         measured = np.concatenate([one.positions_px for one in own])
-        positions[seen, ball] = smoothed(times_s[seen], measured) + reading.corner
+        positions[seen, ball] = smoothed(times_s[seen], measured) + reader.corner
         radii[seen, ball] = np.median(np.concatenate([one.radii_px for one in own]))
         confidences[seen, ball] = np.clip(np.concatenate([one.scores for one in own]), 0, 1)
     colors = tuple(as_hex(palette) for palette in known.palettes)
-    frames = np.array(reading.numbers)
-    return Tracks(name, *reading.size, colors, frames, times_s, positions, radii, confidences)
+    frames = np.array(reader.numbers)
+    return Tracks(name, *reader.size, colors, frames, times_s, positions, radii, confidences)
 
 
-def _encounters(
+def _close_approaches(
     tracks: Tracks, tracklets: Sequence[Tracklet], owners: np.ndarray, palettes: Palettes
 ) -> Iterable[CloseApproach]:
     """Yield the times at which two balls were close, and their colour evidence afterwards."""

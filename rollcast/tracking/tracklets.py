@@ -14,7 +14,7 @@ from rollcast.tracking.finder import Detections
 FARTHEST = 5.0
 """Radii from where a ball is expected, beyond which it is another one."""
 COLOR_COST = 3.0
-"""Of colours that have nothing in common, as much as so many radii."""
+"""Cost of colours that have nothing in common, as much as so many radii."""
 CLEARER = 1.0
 """By which the next best pair has to cost more; else both end and are joined later."""
 HISTORY = 4
@@ -26,7 +26,7 @@ CONTINUES = 1.5
 LONGEST_GAP = 30
 """Frames between such tracklets."""
 FEWEST_FRAMES = 4
-"""Of a tracklet that is no chance detection."""
+"""Frames of a tracklet that is no chance detection."""
 
 
 @dataclass

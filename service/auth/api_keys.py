@@ -33,7 +33,7 @@ TOKEN_PREFIX = "rollcast_"
 MAX_FIELD_ERRORS = 10
 """Mistakes of a file that its refusal names."""
 _TOKEN = re.compile(re.escape(TOKEN_PREFIX) + r"[A-Za-z0-9_-]{32,}")
-LOOKED_AT_S = 1.0
+CHECK_INTERVAL_S = 1.0
 """Seconds for which the file is not looked at again."""
 log = logging.getLogger(__name__)
 
@@ -175,7 +175,7 @@ class ApiKeyStore:
 
     def _refresh(self) -> None:
         now = time.monotonic()
-        if now < self._checked_at + LOOKED_AT_S:
+        if now < self._checked_at + CHECK_INTERVAL_S:
             return
         self._checked_at = now
         try:

@@ -47,7 +47,7 @@ TURNS: Mapping[int, Image.Transpose] = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""What turns a picture upright, by its EXIF orientation."""
+"""Transpositions that turn a picture upright, by its EXIF orientation."""
 DECODER_ERRORS = (
     EOFError,
     IndexError,
@@ -60,7 +60,7 @@ DECODER_ERRORS = (
     struct.error,
     zlib.error,
 )
-"""What Pillow raises on damaged files."""
+"""Exceptions of Pillow for damaged files."""
 
 Check = Callable[[], None]
 """Raises when the result is no longer awaited."""
@@ -149,7 +149,7 @@ class OpenedFrames:
         width, height = self._sizes[0]
         self.is_square = all(width == height for width, height in self._sizes)
         self.slow = width * height * sum(file.passes for file in self._files) > SLOW_PIXELS
-        """Whether decoding them takes long beside a forecast."""
+        """True if decoding them takes long beside a forecast."""
 
     @property
     def side(self) -> int:

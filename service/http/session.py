@@ -149,25 +149,25 @@ class Session:
 
     async def _serve(self) -> None:
         """Take and answer frames, side by side."""
-        reading = asyncio.create_task(self._read())
+        reader = asyncio.create_task(self._read())
         answering = asyncio.create_task(self._answer_all())
         draining = asyncio.create_task(self._service.draining.wait())
         try:
-            await asyncio.wait({reading, answering, draining}, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait({reader, answering, draining}, return_when=asyncio.FIRST_COMPLETED)
             if draining.done() and self._close is None:
                 self._close = WS_1012_SERVICE_RESTART, "the service is stopping"
             if self._close is not None and not answering.done():
-                reading.cancel()
+                reader.cancel()
                 self._arrived.set()
                 await asyncio.wait({answering})
-            ended = [task for task in (reading, answering) if task.done() and not task.cancelled()]
+            ended = [task for task in (reader, answering) if task.done() and not task.cancelled()]
             errors = [error for task in ended if (error := task.exception()) is not None]
             if errors:
                 raise errors[0]
             if self._close is not None:
                 await self._websocket.close(*self._close)
         finally:
-            for task in (reading, answering, draining):
+            for task in (reader, answering, draining):
                 task.cancel()
 
     async def _read(self) -> None:

@@ -56,7 +56,7 @@ class FoundBalls:
 
     balls: Balls
     said: Said
-    """What the detector said of the whole frames."""
+    """Outputs of the detector for the whole frames."""
     spacing: float = 1.0
     """Time between two of the frames, in steps of the rollout."""
 

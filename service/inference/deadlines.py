@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 TIMEOUT_HEADER = "x-request-timeout-ms"
 CLIENT_CLOSED_REQUEST = 499
-"""Status of an answer that nobody is there to read: for the log alone."""
+"""Status of an answer whose client has gone: for the log only."""
 
 
 class ClientGoneError(Exception):

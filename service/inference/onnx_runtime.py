@@ -65,8 +65,8 @@ class _SharedPerception:
         return self._two_cores if two_cores else self._one_core
 
     def _open_two_cores(self) -> None:
-        helped = _session(self._graph, self._provider, PERCEPTION_CORES, reuse=True)
-        self._two_cores, self._graph = helped, b""
+        session = _session(self._graph, self._provider, PERCEPTION_CORES, reuse=True)
+        self._two_cores, self._graph = session, b""
 
 
 _perceptions: WeakValueDictionary[str, _SharedPerception] = WeakValueDictionary()

@@ -60,9 +60,9 @@ class ModelQuery:
     scenario: Domain | None = None
     final_frame: bool = False
     prompted: bool = False
-    """Whether points say which balls are meant; ``objects`` is their number."""
+    """True if points select the balls; ``objects`` is their number."""
     square: bool = True
-    """Whether the frames are squares, as models for a fixed number of balls need them."""
+    """True if the frames are squares, as models for a fixed number of balls need them."""
     horizon: int = DEFAULT_HORIZON
     frame_rate: float | None = None
     """Frames a second, if the request tells it."""

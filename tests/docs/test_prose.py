@@ -7,6 +7,7 @@ for the words and the clauses that stood in for them.
 import ast
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +18,8 @@ from tests.docs.blocks import ROOT
 
 BANNED = re.compile(
     r"\b(somebody|nobody|whoever|everybody|may ask|what is asked|who asks|siblings|patience|crew"
-    r"|doubts?|eyes?|stays put|half radi(us|i)|rig-\w+)\b",
+    r"|doubts?|eyes?|stays put|half radi(us|i)|rig-\w+|(un)?familiar\w*|sighted|films?"
+    r"|practi[cs]ed?)\b",
     re.IGNORECASE,
 )
 """Words of a private language, and people in place of components."""
@@ -28,11 +30,30 @@ CLAUSES = re.compile(
     re.IGNORECASE,
 )
 """Clauses in place of nouns."""
+FORMER_WORDS = re.compile(
+    r"(eyes?|(un)?familiar\w*|sighted|films?|perplexity|practi[cs]ed?|doubt(s|ed|ful)?|colours?"
+    r"|rigs?|campaign|siblings?|crew|scenery|wish|keyring|mistakes?|dissect\w*|survey|taught|bend"
+    r"|rehearsed?|arrivals|strangers?|stray|judged|proves|unhelped)"
+)
+"""Words in identifiers that have a term of the field instead."""
+FORMER_NAMES = re.compile(
+    r"([Ll]ooks?|[Rr]eadings?|Sight|Course|Encounters|Pace|Effort|Patience|Board|Held|Places|Rates"
+    r"|Piece|Moment|Change|Among|Subject|Cell|Asked|Fault|lean|felt|measures|stays_put|line_px"
+    r"|half_radi(us|i)|off_the_loop|side_by_side|may_pass|one_rests|guarded|identified|leads"
+    r"|leader_first|helped)"
+)
+"""Whole identifiers that have a term of the field instead; as parts of others they are usual."""
+FORMER_OPTIONS = re.compile(r"--(no-)?(every|slower|film|right|objects)")
+"""Options of the command lines with a former name."""
 SUBJECTLESS = re.compile(r"^(What|Who|That|Those|Whether|Of|Where)\b")
 """Beginnings of descriptions that lack a noun."""
 PAGES = [
-    *(ROOT / f"{name}.md" for name in ("README", "ARCHITECTURE", "CHANGELOG", "SECURITY")),
+    *(
+        ROOT / f"{name}.md"
+        for name in ("README", "ARCHITECTURE", "CHANGELOG", "CONTRIBUTING", "SECURITY")
+    ),
     *(ROOT / "docs" / f"{name}.md" for name in ("index", "glossary", "benchmarks", "scaling")),
+    ROOT / "docs" / "comparison.md",
     ROOT / "docs" / "reliability.md",
     ROOT / "docs" / "results.md",
     ROOT / "docs" / "reproduced.md",
@@ -119,6 +140,53 @@ def docstrings() -> Iterator[Text]:
                 yield Text(file, getattr(node, "lineno", 1), text)
 
 
+def attribute_docs() -> Iterator[Text]:
+    """Yield the descriptions that follow assignments in modules and classes."""
+    for file, tree in sources():
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.Module | ast.ClassDef):
+                continue
+            for before, after in pairwise(node.body):
+                assigned = isinstance(before, ast.Assign | ast.AnnAssign)
+                if assigned and isinstance(after, ast.Expr) and (text := literal(after.value)):
+                    yield Text(file, after.lineno, text)
+
+
+def identifiers() -> Iterator[Text]:
+    """Yield the names that are defined: classes, functions, parameters, attributes, variables.
+
+    Options of the command lines are made of parameters, or are literals.
+    """
+    for file, tree in sources():
+        for node in ast.walk(tree):
+            match node:
+                case ast.ClassDef(name=name) | ast.FunctionDef(name=name):
+                    yield Text(file, node.lineno, name)
+                case ast.AsyncFunctionDef(name=name) | ast.arg(arg=name):
+                    yield Text(file, node.lineno, name)
+                case ast.Attribute(attr=name, ctx=ast.Store()) | ast.Name(id=name, ctx=ast.Store()):
+                    yield Text(file, node.lineno, name)
+                case ast.Constant(value=str(value)) if re.fullmatch(r"(--[a-z-]+/?)+", value):
+                    for option in value.split("/"):
+                        yield Text(file, node.lineno, option)
+                case _:
+                    pass
+
+
+def is_former(name: str) -> bool:
+    """Return whether a name is one that the field's terms have replaced."""
+    words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
+    return (
+        any(FORMER_WORDS.fullmatch(word.lower()) for word in words)
+        or FORMER_NAMES.fullmatch(name.strip("_")) is not None
+        or FORMER_OPTIONS.fullmatch(name) is not None
+    )
+
+
+def headings(page: Path) -> str:
+    return "\n".join(re.findall(r"^#+ .*$", prose(page), flags=re.MULTILINE))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_pages_use_the_fields_terms(page):
     assert not BANNED.findall(prose(page))
@@ -158,3 +226,36 @@ def test_docstrings_use_the_fields_terms():
 def test_docstrings_of_the_package_and_the_service_begin_with_a_noun_or_a_verb():
     found = [one for one in docstrings() if not one.file.startswith("training")]
     assert [str(one) for one in found if SUBJECTLESS.match(one.text)] == []
+
+
+def test_headings_of_the_experiments_use_the_fields_terms():
+    assert not BANNED.findall(headings(ROOT / "docs" / "experiments.md"))
+
+
+def test_attribute_docs_use_the_fields_terms():
+    found = list(attribute_docs())
+    assert len(found) > 700
+    assert [str(one) for one in found if BANNED.search(one.text)] == []
+
+
+def test_attribute_docs_of_the_package_and_the_service_begin_with_a_noun():
+    found = [one for one in attribute_docs() if not one.file.startswith("training")]
+    assert [str(one) for one in found if SUBJECTLESS.match(one.text)] == []
+
+
+def test_identifiers_are_the_fields_terms():
+    found = list(identifiers())
+    assert len(found) > 10_000
+    assert [str(one) for one in found if is_former(one.text)] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "former"),
+    [
+        ("_SharedEye", True), ("first_doubt", True), ("FILMS", True), ("no_film", True),
+        ("stays_put", True), ("_look", True), ("look_ahead", False), ("--slower", True),
+        ("PerceptionOutput", False), ("Fault", True), ("colors", False),
+    ],
+)  # fmt: skip
+def test_former_identifiers_are_recognised(name, former):
+    assert is_former(name) == former

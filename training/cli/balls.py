@@ -59,11 +59,11 @@ Part = Literal["all", "detector", "refiner"]
 """Parts of the perception that a training changes."""
 PARTS: dict[Part, BallTraining] = {
     "all": BallTraining(0),
-    "detector": BallTraining(0, learning_rate=6e-4, looked_at=0.0, fresh_rate=1.0),
+    "detector": BallTraining(0, learning_rate=6e-4, refined_per_window=0.0, fresh_rate=1.0),
     "refiner": BallTraining(
         0,
         learning_rate=6e-4,
-        looked_at=3.0,
+        refined_per_window=3.0,
         trajectory=0.5,
         frozen=(*BallTraining.frozen, "perception.detector."),
         fresh=("perception.refiner.outline.", "perception.refiner.outline_weighing."),

@@ -18,6 +18,7 @@ RENAMED_PARTS = {
     "unsure": "covariance_from_sigmas",
     "encounters": "pair_interaction",
     "scene_constants": "scene_constants",
+    "bend": "endpoint_correction",
     "look": "refiner",
     "looks": "radius_and_visibility",
 }

@@ -43,7 +43,7 @@ SETUP_FILE = "setup.json"
 READER = 2
 """Version of how clips are read; frames that an older one kept are read again."""
 UNSEEN: Mapping[Split, float] = {"validation": 0.15, "test": 0.15}
-"""Shares of the clips that training does not see, where nobody says which."""
+"""Default shares of the clips that training does not see."""
 EVERY = 5
 """Frames between the windows of a clip that figures are of."""
 LIGHT = 0.05

@@ -36,7 +36,7 @@ class BallTraining:
     ----------
     batches
         Budget.
-    looked_at
+    refined_per_window
         Balls per window, in the mean, whose patches are cut. With 0, the detector trains alone.
     trajectory
         Weight of the error of trajectories that begin with the states at t = 0, over ``horizon``
@@ -49,7 +49,7 @@ class BallTraining:
 
     batches: int
     batch_size: int = 24
-    looked_at: float = 1.3
+    refined_per_window: float = 1.3
     trajectory: float = 0.0
     horizon: int = 20
     halving: float = 10.0
@@ -152,10 +152,10 @@ class BallTrainer(TrainingLoop[BallBatch]):
         with mixed_precision(batch.places.device), torch.set_grad_enabled(detects):
             maps = perception.detector.maps(batch.frames)
         parts = self._detection(maps, batch) if detects else {}
-        if not self.training.looked_at:
+        if not self.training.refined_per_window:
             return parts
         generator = torch.Generator().manual_seed(self.batches + 7919 * self.training.seed)
-        rows = _rows(batch, self.training.looked_at, generator)
+        rows = _rows(batch, self.training.refined_per_window, generator)
         balls, places, radii = _beginnings(batch, maps, rows, generator)
         with mixed_precision(batch.places.device):
             # The single pass is the first one of half of the balls, the second one of the others.
@@ -197,17 +197,19 @@ class _Rows:
     ball: Tensor
 
 
-def _rows(batch: BallBatch, looked_at: float, generator: torch.Generator) -> _Rows:
+def _rows(batch: BallBatch, refined_per_window: float, generator: torch.Generator) -> _Rows:
     """So many balls in the mean, of different windows first; those that move more often."""
     seen = batch.there * (batch.visible[:, :, -1].nan_to_num() > VISIBLE)
     drawn = torch.rand(seen.shape, generator=generator) + 0.7 * batch.moving.nan_to_num()
     drawn = torch.where(seen > 0, drawn, -1.0)
     best = drawn.argmax(dim=1)
     first = torch.arange(len(seen))
-    kept = (seen[first, best] > 0) & (torch.rand(len(seen), generator=generator) < looked_at)
+    kept = (seen[first, best] > 0) & (
+        torch.rand(len(seen), generator=generator) < refined_per_window
+    )
     window, ball = first[kept], best[kept]
     drawn[window, ball] = -1.0
-    more = max(int(looked_at * len(seen)) - len(window), 0)
+    more = max(int(refined_per_window * len(seen)) - len(window), 0)
     values, flat = drawn.flatten().topk(min(more, drawn.numel()))
     flat = flat[values > 0]
     window = torch.cat([window, flat // seen.shape[1]])

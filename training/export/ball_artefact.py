@@ -28,16 +28,16 @@ from training.data.frame_spacing import SPACINGS_MS
 from training.evaluation.any_ball import TorchFinder, forecast_sets
 from training.evaluation.evaluate import EvaluationSet, markdown_table, metric_rows
 from training.export.any_ball import OUTPUTS, STATE_NAMES, BallGraphs, write_ball_graphs
-from training.export.export import evaluate, hashes, proved, with_covariance
+from training.export.export import evaluate, hashes, validated, with_covariance
 from training.export.spec import LICENCE
 from training.export.weight_rounding import round_weights
 from training.networks.any_ball import AnyBallNet
 from training.networks.fieldnet import NUMBERS
 
 GOLDEN_WINDOWS = 2
-PROVED_NUMBERS = (1, 2, 5, MAX_BALLS)
+VALIDATED_NUMBERS = (1, 2, 5, MAX_BALLS)
 """Numbers of balls for which torch and ONNX Runtime are compared."""
-PROVED_STEPS = 5
+VALIDATED_STEPS = 5
 """Steps up to which they are: prompts on nothing begin states whose rollouts magnify rounding. The
 golden values prove one ball up to the trained horizon."""
 
@@ -93,14 +93,14 @@ def export_balls(
     finder, graphs = TorchFinder(network), BallGraphs(folder)
     frames = [part.windows[0].frames for part in validation[1]]
     _write_golden(finder, frames[:GOLDEN_WINDOWS], trained.horizon, folder)
-    parity = measure_ball_parity(finder, graphs, frames[0], min(trained.horizon, PROVED_STEPS))
-    judged = evaluate(partial(forecast_sets, finder), validation[1], test[1], trained.horizon)
+    parity = measure_ball_parity(finder, graphs, frames[0], min(trained.horizon, VALIDATED_STEPS))
+    summary = evaluate(partial(forecast_sets, finder), validation[1], test[1], trained.horizon)
     several = {
-        balls: _rows(finder, test[balls], judged.covariance, trained.horizon)
+        balls: _rows(finder, test[balls], summary.covariance, trained.horizon)
         for balls in sorted(test)
         if balls > 1
     }
-    rows = [row for row in judged.rows if row.split == "test"]
+    rows = [row for row in summary.rows if row.split == "test"]
     (folder / CARD_FILE).write_text(_card(trained, version, rows, several), encoding="utf-8")
     manifest = Manifest(
         format_version=3,
@@ -126,7 +126,7 @@ def export_balls(
             Output(name=name, shape=(1, *SPECS[name].shape), unit=SPECS[name].unit)
             for name in OUTPUTS
         ),
-        covariance=judged.covariance,
+        covariance=summary.covariance,
         angular_velocity=True,
         kinematic=KinematicSource(acceleration_ratio=acceleration_ratio, level_slope=LEVEL_SLOPE),
         random_appearances=True,
@@ -136,8 +136,8 @@ def export_balls(
             "interaction": True,
             "scenes": dict(trained.sources),
         },
-        metrics=judged.rows,
-        validation_error_px=judged.validation_error_px,
+        metrics=summary.rows,
+        validation_error_px=summary.validation_error_px,
         parity=parity,
         golden_tolerance={name: SPECS[name].tolerance for name in OUTPUTS},
         files=hashes(folder),
@@ -176,7 +176,7 @@ def measure_ball_parity(
     graphs: BallGraphs,
     frames: np.ndarray,
     horizon: int,
-    numbers: Sequence[int] = PROVED_NUMBERS,
+    numbers: Sequence[int] = VALIDATED_NUMBERS,
 ) -> Parity:
     """Compare torch with ONNX Runtime for some numbers of balls, from the frames on.
 
@@ -198,7 +198,7 @@ def measure_ball_parity(
         for name, value in graphs.roll(balls, said, horizon).items():
             difference = float(np.abs(value - expected[name]).max())
             worst[name] = max(worst.get(name, 0.0), difference)
-    return proved(worst)
+    return validated(worst)
 
 
 def _card(

@@ -229,10 +229,10 @@ def measure_parity(
             for (name, value), truth in zip(rolled.items(), expected, strict=True):
                 difference = float(np.abs(value - truth.numpy()).max())
                 worst[name] = max(worst.get(name, 0.0), difference)
-    return proved(worst)
+    return validated(worst)
 
 
-def proved(worst: Mapping[OutputName, float]) -> Parity:
+def validated(worst: Mapping[OutputName, float]) -> Parity:
     """Return the proof of an export whose outputs differ at most so much from torch's.
 
     Raises

@@ -281,7 +281,7 @@ class FieldNet(PerceptionNetwork):
         self.tells_spin = task.angular_velocity
         self.perception = Perception(task.objects, zoomed)
         self.rolling = Rolling(PairInteraction() if task.meetings else None)
-        self.bend = None if task.final_step is None else EndpointCorrection()
+        self.endpoint_correction = None if task.final_step is None else EndpointCorrection()
         self.first_covariance = nn.Linear(FEATURES, 3)
         nn.init.zeros_(self.first_covariance.weight)
         with torch.no_grad():
@@ -330,8 +330,8 @@ class FieldNet(PerceptionNetwork):
     def observe(self, state: State) -> Observation:
         """Observation y_t of a state."""
         ball, target = unpacked(state.p)
-        if target is not None and self.bend is not None:
-            ball = self.bend(ball, state.s, target)
+        if target is not None and self.endpoint_correction is not None:
+            ball = self.endpoint_correction(ball, state.s, target)
         numbers = torch.cat([ball.centre[..., :2], ball.covariance_params], dim=-1)
         positions, covariances = self.output(numbers)
         spins = ANGULAR_VELOCITY_UNIT * ball.spin if self.tells_spin else None

@@ -179,10 +179,10 @@ class AttendedTransition(nn.Module):
         places = self.places.expand(inputs.shape[0], -1, -1, -1)
         # Channels of the other balls come last, so that the weights of one ball can be widened.
         logits = self.where(torch.cat([places, inputs], dim=1)).flatten(2)
-        reading, writing = logits.softmax(dim=-1).chunk(2, dim=1)
-        read = inputs.flatten(2) @ reading.transpose(1, 2)
+        read_weights, write_weights = logits.softmax(dim=-1).chunk(2, dim=1)
+        read = inputs.flatten(2) @ read_weights.transpose(1, 2)
         answer = self.answer(read.flatten(1)).unflatten(1, (self.points, -1))
-        return (GRID * answer.transpose(1, 2) @ writing).unflatten(2, (GRID, GRID))
+        return (GRID * answer.transpose(1, 2) @ write_weights).unflatten(2, (GRID, GRID))
 
 
 class PerceptionStatePredictor(Predictor, PerceptionNetwork):

@@ -15,7 +15,7 @@ from training.objectives.losses import known_difference, smooth_distance
 
 CELL = 2 / MAP_CELLS
 MOST_HIDDEN = 0.5
-"""Share of a ball that may be hidden in the last frame before nobody asks for it."""
+"""Share of a ball that may be hidden in the last frame of a prompted ball."""
 
 
 class DetectionLoss:
@@ -67,7 +67,7 @@ class DetectionLoss:
             "votes": self.places * (off.mean(dim=1) * voters).sum() / count,
             "vote radius": self.radius * (unlike * voters).sum() / count,
             "moving": self.moving * (moves * voters).sum() / count,
-            **self._scenery(maps, batch),
+            **self._scene_losses(maps, batch),
         }
 
     def _heat(
@@ -93,7 +93,7 @@ class DetectionLoss:
         missed = torch.where(unsure, 0.0, found + others)
         return -missed.sum() / (ones.sum() + 1)
 
-    def _scenery(self, maps: BallMaps, batch: BallBatch) -> dict[str, Tensor]:
+    def _scene_losses(self, maps: BallMaps, batch: BallBatch) -> dict[str, Tensor]:
         ground, known = batch.ground, (~batch.ground.isnan()).float()
         off = torch.where(ground.isnan(), 0.0, maps.ground - ground.nan_to_num()).abs()
         points = batch.centres[..., :2].nan_to_num()

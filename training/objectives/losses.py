@@ -161,7 +161,7 @@ class PerceptionLoss:
     Parameters
     ----------
     within_reach
-        Whether a closer pass is judged only where the pass before it left the ball in its patch:
+        Whether a closer pass counts only where the pass before it left the ball in its patch:
         what it says of patches without a ball is noise.
     """
 
@@ -203,12 +203,12 @@ class PerceptionLoss:
         if shake_BK2 is not None:
             seen = seen + shake_BK2[:, None]
         before = centres[:, :, OBSERVED_FRAMES - 2]
-        judged = self._judged(perceived, seen)
-        found = judged[-1].amin(dim=2)
+        masks = self._pass_masks(perceived, seen)
+        found = masks[-1].amin(dim=2)
         off = known_difference(perceived.centres, now)
         loss = self._pixels(off[..., :2], found)
         loss = loss + self.height * PIXEL_UNIT * (found * off[..., 2].abs()).mean()
-        passes = zip(self.passes, perceived.seen_positions, judged, strict=False)
+        passes = zip(self.passes, perceived.seen_positions, masks, strict=False)
         for weight, positions, share in passes:
             loss = loss + weight * self._pixels(positions - seen, share)
         moved = perceived.seen_positions[-1].diff(dim=2) - seen.diff(dim=2)
@@ -234,19 +234,19 @@ class PerceptionLoss:
         unlike = sampled(read, points) - sampled(ground.nan_to_num(), points)
         return (unlike.abs() * (sampled(known, points) > 0.999)).sum(dim=-1).mean()
 
-    def _judged(self, perceived: PerceptionOutput, seen: Tensor) -> list[Tensor]:
-        """Return, for every pass, where it is judged: 1 or 0 [B, N, K]."""
+    def _pass_masks(self, perceived: PerceptionOutput, seen: Tensor) -> list[Tensor]:
+        """Return, for every pass, where it is evaluated: 1 or 0 [B, N, K]."""
         passes = [positions.detach() for positions in perceived.seen_positions]
         everywhere = torch.ones_like(passes[0][..., 0])
         if not self._within_reach:
             return [everywhere] * len(passes)
         off = [(positions - seen).abs().amax(dim=-1) for positions in passes]
-        judged = [everywhere, *((before < PATCH_HALF_WIDTH).float() for before in off[:2])]
-        if len(passes) > len(judged):
+        masks = [everywhere, *((before < PATCH_HALF_WIDTH).float() for before in off[:2])]
+        if len(passes) > len(masks):
             assert perceived.radii is not None
             reach = perceived.radii.detach()[..., None] + ZOOM_MARGIN
-            judged.append(judged[-1] * (off[2] < reach))
-        return judged
+            masks.append(masks[-1] * (off[2] < reach))
+        return masks
 
     def _pixels(self, difference: Tensor, share: Tensor | None = None) -> Tensor:
         distance = smooth_distance(PIXEL_UNIT * difference, self.rounding)

@@ -1,8 +1,8 @@
 """Trains every family of models in rounds, for as long as it is left running.
 
-A round is a training of its own that begins with the family's committed models. Automatic training goes
-on with a round that was interrupted, then begins families that have no round yet, in order, and
-then gives the next round to the family whose last one lowered its validation error most. All rounds
+A round is a training of its own that begins with the family's committed models. An interrupted
+round is continued first, then families that have no round yet begin theirs, in order, and then
+the next round goes to the family whose last one lowered its validation error most. All rounds
 show the same number of sequences.
 """
 

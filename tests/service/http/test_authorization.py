@@ -100,7 +100,7 @@ def test_a_key_is_good_until_its_last_day(keys):
 
 def test_a_changed_file_is_read_again_and_a_broken_one_is_not(keys, monkeypatch, caplog):
     path, tokens = keys
-    monkeypatch.setattr(api_keys, "LOOKED_AT_S", 0.0)
+    monkeypatch.setattr(api_keys, "CHECK_INTERVAL_S", 0.0)
     ring = ApiKeyStore(path)
     key, token = made("new")
     KeyFile(keys=(key,)).write(path)

@@ -76,7 +76,7 @@ def test_the_loss_falls_on_what_is_seen_again_and_again(tmp_path, unseen):
 
 def test_trajectories_teach_the_refiner_where_a_future_is_known(tmp_path, unseen):
     made = trainer(tmp_path, 10, unseen)
-    made.training = replace(made.training, trajectory=1.0, horizon=6, looked_at=3.0)
+    made.training = replace(made.training, trajectory=1.0, horizon=6, refined_per_window=3.0)
     batch = next(iter(Windows(0)))
     assert made.losses(batch)["trajectories"] == 0  # planar scenes have no future
     first = batch.centres[:, 0, :4, :2]

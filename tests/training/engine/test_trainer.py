@@ -119,7 +119,7 @@ def test_windows_are_read_once_and_replayed(bending, tmp_path):
     before = {name: value.clone() for name, value in trainer.family.state_dict().items()}
     trainer.run()
     changed = {n for n, v in trainer.family.state_dict().items() if not torch.equal(v, before[n])}
-    assert changed == {name for name in before if ".bend." in name}
+    assert changed == {name for name in before if ".endpoint_correction." in name}
     outputs = torch.load(tmp_path / FEATURE_CACHE, weights_only=True)
     assert len(outputs["p"]) == len(outputs["s"]) == len(outputs["positions"]) == 64
     batch = next(replayed(tmp_path / FEATURE_CACHE, 6, 1, 3, Share()))
