@@ -43,7 +43,7 @@ from service.serving.loading import Loader, load_registry
 from service.serving.model_changes import ModelChanges
 from service.settings import Settings
 from service.simulation.pool import RecycledProcess
-from service.state import State
+from service.state import AppState
 
 ACCEPT_AFTER_S = 10.0
 """Longest time for which a worker process that loads its models leaves connections to others."""
@@ -68,7 +68,7 @@ def create_app(
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
-        state = State(
+        state = AppState(
             settings,
             inference=Scheduler(
                 settings.inference_threads,
@@ -148,7 +148,7 @@ def create_app(
     return app
 
 
-async def _load(state: State) -> None:
+async def _load(state: AppState) -> None:
     """Load the models while the service already answers that it does so."""
     with state.metrics.loading.time():
         registry = await run_in_daemon_thread(state.load, state.settings.models_dir)
@@ -163,7 +163,7 @@ async def _load(state: State) -> None:
         await model_reload.follow(state, state.changes)
 
 
-async def _other_workers_accept(state: State, loading: asyncio.Task[None]) -> None:
+async def _other_workers_accept(state: AppState, loading: asyncio.Task[None]) -> None:
     """Delay the first connection of a worker until its models are there, but not for long.
 
     Requests go to workers that can answer them. Where models take long to load, every worker

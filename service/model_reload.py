@@ -8,7 +8,7 @@ from service.inference.daemon_threads import run_in_daemon_thread
 from service.serving.loading import model_names
 from service.serving.model_changes import Action, ModelChanges
 from service.serving.registry import Model
-from service.state import State
+from service.state import AppState
 
 POLL_S = 0.25
 """Interval at which a worker looks for changes by other workers."""
@@ -16,7 +16,7 @@ POLL_S = 0.25
 log = logging.getLogger(__name__)
 
 
-async def change(state: State, action: Action, name: str) -> None:
+async def change(state: AppState, action: Action, name: str) -> None:
     """Load or unload a model in this process, and let all other processes follow.
 
     Raises
@@ -39,7 +39,7 @@ async def change(state: State, action: Action, name: str) -> None:
         await _apply(state, action, name)
 
 
-async def follow(state: State, changes: ModelChanges) -> None:
+async def follow(state: AppState, changes: ModelChanges) -> None:
     """Apply model changes of other processes until cancelled."""
     while True:
         await asyncio.sleep(POLL_S)
@@ -52,14 +52,14 @@ async def follow(state: State, changes: ModelChanges) -> None:
                 return
 
 
-async def _apply_others(state: State, action: Action, name: str) -> None:
+async def _apply_others(state: AppState, action: Action, name: str) -> None:
     try:
         await _apply(state, action, name)
     except ServiceError as error:  # the process that was asked has answered it
         log.warning("%s of %s: %s", action, name, error.detail)
 
 
-async def _require_known(state: State, action: Action, name: str) -> None:
+async def _require_known(state: AppState, action: Action, name: str) -> None:
     if any(model.name == name for model in state.registry.models):
         return
     known = await run_in_daemon_thread(model_names, state.settings.models_dir)
@@ -67,14 +67,14 @@ async def _require_known(state: State, action: Action, name: str) -> None:
         raise UnknownModelError.at("model", name, "the name of a folder of models")
 
 
-async def _apply(state: State, action: Action, name: str) -> None:
+async def _apply(state: AppState, action: Action, name: str) -> None:
     if action == "load":
         await _load(state, name)
     else:
         state.serve(state.registry.without(name))
 
 
-async def _load(state: State, name: str) -> None:
+async def _load(state: AppState, name: str) -> None:
     """Load every version of a model again from its folder.
 
     A version that is served and can no longer be loaded is served on as it was; versions whose

@@ -23,7 +23,7 @@ from service.settings import Settings
 
 
 @dataclass
-class State:
+class AppState:
     """The running service.
 
     Attributes
@@ -127,8 +127,8 @@ class State:
             raise NotReadyError(f"The service is {self.phase}.")
 
 
-async def _state(connection: HTTPConnection) -> State:
+async def _state(connection: HTTPConnection) -> AppState:
     return connection.app.state.service
 
 
-ServiceState = Annotated[State, Depends(_state)]
+ServiceState = Annotated[AppState, Depends(_state)]

@@ -93,7 +93,7 @@ def _given(value: float | None, default: float) -> float:
     return default if value is None else value
 
 
-class State(NamedTuple):
+class BodyStates(NamedTuple):
     """Centres (m), orientations (x, y, z, w) and angular velocities (rad/s) of all balls."""
 
     centres: list[Vector3]
@@ -281,7 +281,7 @@ class World:
             pybullet.getBaseVelocity(ball, physicsClientId=self._client)[0] for ball in self._balls
         ]
 
-    def place(self, state: State, velocities_m_s: Sequence[Vector3]) -> None:
+    def place(self, state: BodyStates, velocities_m_s: Sequence[Vector3]) -> None:
         """Go on from another state of the balls, with their centres' velocities."""
         moves = zip(self._balls, *state, velocities_m_s, strict=True)
         for ball, centre, orientation, spin, velocity in moves:
@@ -291,7 +291,7 @@ class World:
             pybullet.resetBaseVelocity(ball, velocity, spin, physicsClientId=self._client)
         self._centres = list(state.centres)
 
-    def state(self) -> State:
+    def state(self) -> BodyStates:
         """Return the current state of the balls."""
         poses = [
             pybullet.getBasePositionAndOrientation(ball, physicsClientId=self._client)
@@ -300,7 +300,7 @@ class World:
         spins = [
             pybullet.getBaseVelocity(ball, physicsClientId=self._client)[1] for ball in self._balls
         ]
-        return State([pose[0] for pose in poses], [pose[1] for pose in poses], spins)
+        return BodyStates([pose[0] for pose in poses], [pose[1] for pose in poses], spins)
 
 
 def _turn_from_vertical(normal: Vector3) -> Quaternion:
@@ -310,7 +310,7 @@ def _turn_from_vertical(normal: Vector3) -> Quaternion:
     return -ny / length, nx / length, 0.0, (1 + nz) / length
 
 
-def as_trajectory(states: Sequence[State]) -> Trajectory:
+def as_trajectory(states: Sequence[BodyStates]) -> Trajectory:
     """Stack states of :meth:`World.state` into a trajectory."""
     positions, orientations, spins = zip(*states, strict=True)
     return Trajectory(np.array(positions), np.array(orientations), np.array(spins))

@@ -13,7 +13,7 @@ from rollcast.scene import BallColor
 from rollcast.schemas import BallPrompt, SeenBall
 from service.errors import InvalidValueError
 from service.inference.ball_predictor import BallPredictor, FoundBalls
-from service.inference.rollout import Forecast
+from service.inference.rollout import ForecastArrays
 
 SURE = 0.5
 """Score from which on a ball is taken to be there."""
@@ -82,7 +82,7 @@ class RequestBalls:
         side = self.box.side
         return (side - self.box.width) / 2, (side - self.box.height) / 2
 
-    def kinematic(self, network: Forecast, first_step: int) -> Forecast:
+    def kinematic(self, network: ForecastArrays, first_step: int) -> ForecastArrays:
         """Return the kinematic forecast of the steps of the network's, pixels of 128.
 
         Like the network's, its errors are heavy-tailed: the covariances hold 95 % of them, and the

@@ -36,7 +36,13 @@ from service.http.image_decoding import OpenedFrames
 from service.http.request_body import Parser
 from service.inference.ball_predictor import BallPredictor
 from service.inference.deadlines import CancellationToken
-from service.inference.rollout import CovarianceFloor, Forecast, Predictor, assemble, place_sigmas
+from service.inference.rollout import (
+    CovarianceFloor,
+    ForecastArrays,
+    Predictor,
+    assemble,
+    place_sigmas,
+)
 from service.inference.scheduler import DecodedRequest, Decoding
 from service.inference.step_times import StepTimes, frame_spacing
 from service.observability.metrics import Metrics
@@ -276,7 +282,9 @@ class _Forecast(ABC):
         self._details = [ball._replace(warnings=[*ball.warnings, *more]) for ball, more in told]
         return None
 
-    def motions(self, outputs: Outputs, first_step: int) -> tuple[Forecast, Forecast | None]:
+    def motions(
+        self, outputs: Outputs, first_step: int
+    ) -> tuple[ForecastArrays, ForecastArrays | None]:
         """Turn stacked outputs into a forecast in pixels of 128.
 
         Returns
@@ -297,7 +305,7 @@ class _Forecast(ABC):
         by_kinematics = np.array([ball.motion == "kinematic" for ball in self._details])
         return network.mixed(kinematic, by_kinematics), kinematic.mixed(network, by_kinematics)
 
-    def in_frame(self, made: Forecast) -> Forecast:
+    def in_frame(self, made: ForecastArrays) -> ForecastArrays:
         """Return a forecast in the units of the user's frames."""
         units = Units(
             max(self._size) / NETWORK_FRAME_SIZE,
@@ -306,7 +314,7 @@ class _Forecast(ABC):
         )
         return made.within_frame().rescaled(units)
 
-    def answered(self, made: Forecast, first_step: int) -> Forecast:
+    def answered(self, made: ForecastArrays, first_step: int) -> ForecastArrays:
         """Return the forecast of the answer, noting where balls leave the frame."""
         scaled = self.in_frame(made)
         places = scaled.positions[0]
@@ -453,7 +461,7 @@ def _horizon(request: PredictRequest, manifest: Manifest) -> int:
 
 
 def _objects(
-    forecast: Forecast, balls: Sequence[BallDetails], other: Forecast | None
+    forecast: ForecastArrays, balls: Sequence[BallDetails], other: ForecastArrays | None
 ) -> list[ForecastObject]:
     return [
         ForecastObject(
@@ -465,7 +473,7 @@ def _objects(
     ]
 
 
-def _paths(forecast: Forecast, ball: BallDetails) -> Iterator[tuple[OutputSpec, Any]]:
+def _paths(forecast: ForecastArrays, ball: BallDetails) -> Iterator[tuple[OutputSpec, Any]]:
     """Yield the outputs of a ball at all steps; kinematic motion has the required ones only."""
     for spec in STEP_OUTPUTS:
         is_known = spec.name in forecast.outputs and ball.motion != "kinematic"
@@ -473,7 +481,7 @@ def _paths(forecast: Forecast, ball: BallDetails) -> Iterator[tuple[OutputSpec, 
         yield spec, forecast.outputs[spec.name][0, ball.id].tolist() if has_values else None
 
 
-def _alternative(other: Forecast, ball: BallDetails) -> AlternativeForecast:
+def _alternative(other: ForecastArrays, ball: BallDetails) -> AlternativeForecast:
     return AlternativeForecast(
         motion="network" if ball.motion == "kinematic" else "kinematic",
         positions=other.positions[0, ball.id].tolist(),

@@ -37,7 +37,7 @@ from service.http.window import FrameCheck, Window, WindowForecast, WindowFrame
 from service.inference.body_budget import HeldBody
 from service.inference.deadlines import awaited
 from service.serving.registry import ModelQuery
-from service.state import State
+from service.state import AppState
 
 MAX_REQUEST_BYTES = 64 * 1024
 """Bytes of a session's first message, which is parsed in the event loop."""
@@ -69,7 +69,7 @@ class _Answer(NamedTuple):
     """Further members of the JSON object, a comma before each."""
 
 
-class Session:
+class ForecastSession:
     """The session of one WebSocket, which has been accepted.
 
     Parameters
@@ -82,7 +82,7 @@ class Session:
         Time limit of every forecast, seconds.
     """
 
-    def __init__(self, websocket: WebSocket, service: State, timeout_s: float) -> None:
+    def __init__(self, websocket: WebSocket, service: AppState, timeout_s: float) -> None:
         self._websocket = websocket
         self._service = service
         self._timeout_s = timeout_s

@@ -42,7 +42,7 @@ from service.errors import InvalidValueError
 from service.inference.rollout import Arrays, Predictor, Step
 
 
-class Session(Protocol):
+class GraphSession(Protocol):
     """A graph that can be run."""
 
     def run(self, outputs: Sequence[str], inputs: Mapping[str, Any], /) -> list[Any]:
@@ -82,7 +82,7 @@ class BallPredictor:
     """
 
     def __init__(
-        self, folder: Path, manifest: Manifest, open_session: Callable[[Path], Session]
+        self, folder: Path, manifest: Manifest, open_session: Callable[[Path], GraphSession]
     ) -> None:
         self.manifest = manifest
         self.ood_detector: OodDetector | None = None

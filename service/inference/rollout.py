@@ -47,7 +47,7 @@ class Predictor(Protocol):
 
 
 @dataclass(frozen=True)
-class Forecast:
+class ForecastArrays:
     """A forecast of B requests, with an uncertainty from one source or the other."""
 
     outputs: Mapping[OutputName, np.ndarray]
@@ -65,11 +65,11 @@ class Forecast:
         """Square pixels."""
         return self.outputs["covariances"]
 
-    def having(self, **outputs: np.ndarray) -> "Forecast":
+    def having(self, **outputs: np.ndarray) -> "ForecastArrays":
         """Return the forecast with other values of some outputs."""
         return replace(self, outputs={**self.outputs, **outputs})
 
-    def mixed(self, other: "Forecast", balls: Bool[np.ndarray, " N"]) -> "Forecast":
+    def mixed(self, other: "ForecastArrays", balls: Bool[np.ndarray, " N"]) -> "ForecastArrays":
         """Return the forecast with the positions and covariances of some balls from another one."""
         chosen = balls[:, None, None]
         return self.having(
@@ -77,7 +77,7 @@ class Forecast:
             covariances=np.where(chosen[..., None], other.covariances, self.covariances),
         )
 
-    def within_frame(self) -> "Forecast":
+    def within_frame(self) -> "ForecastArrays":
         """Return the forecast with places near the 128-pixel frame and bounded covariances.
 
         A ball that leaves the frame is answered at most :data:`MARGIN_PX` outside of it, and no
@@ -90,7 +90,7 @@ class Forecast:
             covariances=self.covariances * shrink[..., None, None].astype(np.float32),
         )
 
-    def rescaled(self, units: Units) -> "Forecast":
+    def rescaled(self, units: Units) -> "ForecastArrays":
         """Return the forecast in the units of other frames than 128-pixel ones."""
         return replace(self, outputs=rescaled(self.outputs, units))
 
@@ -100,7 +100,7 @@ def assemble(
     covariance: CovarianceSource,
     first_step: int = 0,
     spacing: float = 1.0,
-) -> Forecast:
+) -> ForecastArrays:
     """Make a forecast of stacked outputs: one of the two sources tells its covariances.
 
     Parameters
@@ -127,12 +127,14 @@ def assemble(
             scale = np.array(covariance.variance_scale)
             covariances = covariances * scale[_held(steps, len(scale)), None, None]
     half = np.array(covariance.ellipse50_radius or [GAUSSIAN_ELLIPSE50_RADIUS])
-    forecast = Forecast({**outputs, "covariances": covariances}, half[_held(steps, len(half))])
+    forecast = ForecastArrays(
+        {**outputs, "covariances": covariances}, half[_held(steps, len(half))]
+    )
     _refuse_divergence(forecast, first_step)
     return forecast
 
 
-def place_sigmas(made: Forecast) -> list[float]:
+def place_sigmas(made: ForecastArrays) -> list[float]:
     """Return the largest standard deviation of each ball's place at the first step, pixels."""
     return np.sqrt(np.linalg.eigvalsh(made.covariances[0, :, 0])[:, -1]).tolist()
 
@@ -150,7 +152,7 @@ class CovarianceFloor:
         self._calibrated = calibrated
         self._largest: Float[np.ndarray, "B N"] | None = None
 
-    def apply(self, forecast: Forecast, first_step: int) -> Forecast:
+    def apply(self, forecast: ForecastArrays, first_step: int) -> ForecastArrays:
         """Return the next steps of the forecast, whose first one is ``first_step``."""
         covariances = forecast.covariances
         traces = covariances[..., 0, 0] + covariances[..., 1, 1]
@@ -171,7 +173,7 @@ def _held(steps: np.ndarray, known: int) -> np.ndarray:
     return np.minimum(steps, known - 1)
 
 
-def _refuse_divergence(forecast: Forecast, first_step: int) -> None:
+def _refuse_divergence(forecast: ForecastArrays, first_step: int) -> None:
     for spec in STEP_OUTPUTS:
         values = forecast.outputs.get(spec.name)
         if values is None or np.isfinite(values).all():

@@ -17,7 +17,7 @@ from service.process.connection_limits import Connection, WebSocketConnection
 from service.serving.loading import Loader
 from service.serving.model_changes import ModelChanges
 from service.settings import SHUTDOWN_MARGIN_S, Settings
-from service.state import State
+from service.state import AppState
 
 POLL_S = 0.02
 PING_S = 20.0
@@ -81,13 +81,13 @@ class Server(uvicorn.Server):
         faulthandler.dump_traceback_later(
             self._settings.graceful_shutdown_timeout_s + SHUTDOWN_MARGIN_S, exit=True
         )
-        state: State | None = getattr(self._app.state, "service", None)
+        state: AppState | None = getattr(self._app.state, "service", None)
         if state is not None:  # it has none before it has begun
             state.phase = "draining"
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Drain, then close."""
-        state: State = self._app.state.service
+        state: AppState = self._app.state.service
         state.drain()
         begun = time.monotonic()
         ends = (self._told_at or begun) + self._settings.graceful_shutdown_timeout_s

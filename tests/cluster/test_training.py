@@ -14,7 +14,7 @@ import pytest
 from tests.training.common.test_distributed import PACE, Noted
 from tests.training.conftest import tiny
 from training.common.run_folder import CHECKPOINT
-from training.orchestration.auto_training import Line, Outcome, Round
+from training.orchestration.auto_training import Line, Round, RoundResult
 from training.orchestration.ray_backend import train_rounds, train_together
 from training.recipes.compact import one_ball
 
@@ -88,9 +88,9 @@ def test_training_goes_on_after_a_worker_was_killed(alone, runs):
         np.testing.assert_allclose(curve, alone[1][first:], rtol=1e-2)
 
 
-def outcome(chosen: Round) -> Outcome:
+def outcome(chosen: Round) -> RoundResult:
     (chosen.folder / "here").write_text("trained")
-    return Outcome(None, 10.0 + chosen.number)
+    return RoundResult(None, 10.0 + chosen.number)
 
 
 def test_rounds_are_trained_side_by_side(runs):
@@ -99,5 +99,5 @@ def test_rounds_are_trained_side_by_side(runs):
     for one in rounds:
         one.folder.mkdir()
     outcomes = train_rounds("local", runs, rounds, outcome)
-    assert outcomes == [Outcome(None, 10.0), Outcome(None, 11.0), Outcome(None, 12.0)]
+    assert outcomes == [RoundResult(None, 10.0), RoundResult(None, 11.0), RoundResult(None, 12.0)]
     assert all((one.folder / "here").exists() for one in rounds)

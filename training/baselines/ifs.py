@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from training.baselines.interaction import CODE, HISTORY, InteractionDynamics, annealed_weights
-from training.baselines.learner import Forecast, Learner
+from training.baselines.learner import Learner, LearnerForecast
 from training.baselines.states import VELOCITY_UNIT, States
 
 ROLLED_OUT = 16
@@ -44,12 +44,12 @@ class Ifs(Learner[States]):
         errors = (rolled - later).square().sum(-1).mean(dim=(0, 1))
         return given_error + (weights * errors).sum()
 
-    def forecast(self, given: States, horizon: int) -> Forecast:
+    def forecast(self, given: States, horizon: int) -> LearnerForecast:
         """Start from the true states of t = -3..0."""
         later = self.decoder(self.dynamics.roll_out(self._codes(given), horizon - 1))
         now = self._truth(given)[:, :, HISTORY - 1 : HISTORY]
         moving = torch.cat([now, later], dim=2)
-        return Forecast.of(moving[..., :2], moving[..., 4:] if self.sees_spin else None)
+        return LearnerForecast.of(moving[..., :2], moving[..., 4:] if self.sees_spin else None)
 
     def _codes(self, given: States) -> Tensor:
         return self.encoder(given.until(HISTORY).per_ball(angular_velocity=self.sees_spin))

@@ -13,14 +13,14 @@ from training.networks.recurrent import ANGULAR_VELOCITY_UNIT
 Given = TypeVar("Given")
 
 
-class Forecast(NamedTuple):
+class LearnerForecast(NamedTuple):
     """From t = 0: positions [B, N, T, 2] in 128-px units, perhaps spins [B, N, T, 3] in rad/s."""
 
     positions: Tensor
     angular_velocities: Tensor | None
 
     @classmethod
-    def of(cls, positions: Tensor, spins: Tensor | None) -> "Forecast":
+    def of(cls, positions: Tensor, spins: Tensor | None) -> "LearnerForecast":
         """Make one of the units of :mod:`training.baselines.states`."""
         spun = None if spins is None else ANGULAR_VELOCITY_UNIT * spins
         return cls(HALF_FRAME_PX * (1 + positions), spun)
@@ -42,13 +42,13 @@ class Learner(nn.Module, ABC, Generic[Given]):
         """Return what is minimised on a batch when a share ``progress`` of the budget is gone."""
 
     @abstractmethod
-    def forecast(self, given: Given, horizon: int) -> Forecast:
+    def forecast(self, given: Given, horizon: int) -> LearnerForecast:
         """Forecast the steps t = 0..horizon-1 of sequences, seeing no more than their start."""
 
 
-def joined(parts: list[Forecast]) -> Forecast:
+def joined(parts: list[LearnerForecast]) -> LearnerForecast:
     """Join the forecasts of several batches."""
     spins = [part.angular_velocities for part in parts if part.angular_velocities is not None]
-    return Forecast(
+    return LearnerForecast(
         torch.cat([part.positions for part in parts]), torch.cat(spins) if spins else None
     )

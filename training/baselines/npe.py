@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from training.baselines.interaction import perceptron
-from training.baselines.learner import Forecast, Learner
+from training.baselines.learner import Learner, LearnerForecast
 from training.baselines.states import VELOCITY_UNIT, States
 
 GIVEN = 2
@@ -49,7 +49,7 @@ class Npe(Learner[States]):
         truth = torch.cat([velocity / VELOCITY_UNIT, spin], dim=-1) / CHANGE_UNIT
         return (change - truth[..., : change.shape[-1]]).square().sum(-1).mean()
 
-    def forecast(self, given: States, horizon: int) -> Forecast:
+    def forecast(self, given: States, horizon: int) -> LearnerForecast:
         """Start from the true states of t = -3..0 and integrate."""
         known = given.until(4)
         positions, spins = [known.positions[:, :, -1]], [known.spins[:, :, -1]]
@@ -58,7 +58,7 @@ class Npe(Learner[States]):
             last = self._after(last)
             positions.append(last.positions[:, :, -1])
             spins.append(last.spins[:, :, -1])
-        return Forecast.of(
+        return LearnerForecast.of(
             torch.stack(positions, dim=2), torch.stack(spins, dim=2) if self.sees_spin else None
         )
 

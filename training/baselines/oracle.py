@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.scene import Quaternion, Scene, Vector3
-from rollcast.simulation.physics import State, World
+from rollcast.simulation.physics import BodyStates, World
 from rollcast.surfaces import HEIGHTFIELD_HALF_WIDTH_M
 from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ, OBSERVED_FRAMES
 
@@ -114,12 +114,12 @@ class Oracle:
         """Positions [N, frames + 1, 2] of balls that begin with a motion."""
         return self._path(scene, self._rolled(scene, motion, frames)).positions
 
-    def _rolled(self, scene: Scene, motion: np.ndarray, frames: int) -> list[State]:
+    def _rolled(self, scene: Scene, motion: np.ndarray, frames: int) -> list[BodyStates]:
         state, velocities = self._rolling(scene, motion)
         self._world.place(state, velocities)
         return [state, *self._steps(frames)]
 
-    def _rolling(self, scene: Scene, motion: np.ndarray) -> tuple[State, list[Vector3]]:
+    def _rolling(self, scene: Scene, motion: np.ndarray) -> tuple[BodyStates, list[Vector3]]:
         """State and velocities of balls that roll on the surface with motions [N, 4]."""
         centres: list[Vector3] = []
         velocities: list[Vector3] = []
@@ -137,7 +137,7 @@ class Oracle:
             centres.append(centre)
             velocities.append(_vector(velocity))
             spins.append(_vector(np.cross(normal, velocity) / scene.radius_m))
-        return State(centres, [_UPRIGHT] * scene.objects, spins), velocities
+        return BodyStates(centres, [_UPRIGHT] * scene.objects, spins), velocities
 
     def _resting_height(self, scene: Scene, x: float, y: float) -> float:
         """Height of the centre of a ball that touches the surface, by halving."""
@@ -150,14 +150,14 @@ class Oracle:
                 low = middle
         return high
 
-    def _steps(self, frames: int) -> list[State]:
-        states: list[State] = []
+    def _steps(self, frames: int) -> list[BodyStates]:
+        states: list[BodyStates] = []
         for _ in range(frames):
             self._world.step_frame()
             states.append(self._world.state())
         return states
 
-    def _path(self, scene: Scene, states: Sequence[State]) -> Path:
+    def _path(self, scene: Scene, states: Sequence[BodyStates]) -> Path:
         camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
         centres = np.array([state.centres for state in states])
         spins = np.array([state.spins for state in states])

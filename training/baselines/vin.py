@@ -18,7 +18,7 @@ from training.baselines.interaction import (
     annealed_weights,
     perceptron,
 )
-from training.baselines.learner import Forecast, Learner
+from training.baselines.learner import Learner, LearnerForecast
 from training.baselines.states import HALF_FRAME_PX, VELOCITY_UNIT
 from training.data.windows import Batch
 
@@ -92,9 +92,9 @@ class Vin(Learner[Batch]):
         errors = (states[:, :, 1:] - later).square().sum(-1).mean(dim=(0, 1))
         return now + (weights * errors).sum()
 
-    def forecast(self, given: Batch, horizon: int) -> Forecast:
+    def forecast(self, given: Batch, horizon: int) -> LearnerForecast:
         """Read the states of the frames and roll them out."""
-        return Forecast.of(self._states(given["frames"], horizon)[..., :2], None)
+        return LearnerForecast.of(self._states(given["frames"], horizon)[..., :2], None)
 
     def _states(self, frames_BKHW3: Tensor, horizon: int) -> Tensor:
         """Positions and velocities [B, N, T, 4] from t = 0 on."""

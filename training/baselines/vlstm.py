@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from training.baselines.interaction import perceptron
-from training.baselines.learner import Forecast, Learner
+from training.baselines.learner import Learner, LearnerForecast
 from training.baselines.states import HALF_FRAME_PX
 from training.data.windows import Batch
 from training.networks.imagenet import read_convolutions
@@ -131,10 +131,10 @@ class VLstm(Learner[Batch]):
         truth = torch.cat([part[:, :, : self._horizon] for part in parts], dim=-1)
         return (self._states(given["frames"], self._horizon) - truth).square().sum(-1).mean()
 
-    def forecast(self, given: Batch, horizon: int) -> Forecast:
+    def forecast(self, given: Batch, horizon: int) -> LearnerForecast:
         """Let every ball's memory tell its states."""
         states = self._states(given["frames"], horizon)
-        return Forecast.of(states[..., :2], states[..., 2:] if self.sees_spin else None)
+        return LearnerForecast.of(states[..., :2], states[..., 2:] if self.sees_spin else None)
 
     def _states(self, frames_BKHW3: Tensor, horizon: int) -> Tensor:
         return torch.stack([ball(frames_BKHW3, horizon) for ball in self.balls], dim=1)

@@ -37,7 +37,7 @@ from training.engine.trainer import Trainer
 from training.engine.warm_start import Initial
 from training.export.export import export_run
 from training.export.load import initial_networks
-from training.networks.recurrent import Predictor
+from training.networks.recurrent import RecurrentNetwork
 from training.networks.vgg import VggEncoder, load_imagenet
 from training.orchestration import auto_training
 from training.recipes import RECIPES, summary
@@ -140,7 +140,7 @@ def _begin_from_imagenet(trainer: Trainer, imagenet: Path | None) -> None:
     if imagenet is None:
         return
     network = next(iter(trainer.family.networks().values()))
-    if not (isinstance(network, Predictor) and isinstance(network.encoder, VggEncoder)):
+    if not (isinstance(network, RecurrentNetwork) and isinstance(network.encoder, VggEncoder)):
         failed(f"--imagenet is for the paper's preset; {trainer.recipe.name} has another")
     typer.echo(f"{load_imagenet(network.encoder, imagenet)} convolutions from ImageNet")
 
@@ -218,7 +218,7 @@ def auto_train(
 
 
 def _finish(
-    chosen: auto_training.Round, outcome: auto_training.Outcome, scenes: int, workers: int
+    chosen: auto_training.Round, outcome: auto_training.RoundResult, scenes: int, workers: int
 ) -> None:
     """Export what a round made better, and write down that it is done."""
     before, now = outcome.error_before_px, outcome.error_px

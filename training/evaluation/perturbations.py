@@ -181,7 +181,7 @@ PERTURBATIONS: Sequence[Perturbation] = (
 
 
 @dataclass(frozen=True)
-class Outcome:
+class PerturbationResult:
     """Forecasts of one scenario under one perturbation."""
 
     errors: np.ndarray
@@ -194,7 +194,7 @@ class Outcome:
 
 def outcome(
     service: Client, windows: Sequence[Window], perturbation: Perturbation, model: str
-) -> Outcome:
+) -> PerturbationResult:
     """Forecast the perturbed windows of one ball."""
     rows: list[tuple[float, bool, bool]] = []
     for index, window in enumerate(windows):
@@ -206,12 +206,12 @@ def outcome(
         warned = bool(answer.warnings) or any(answer.object_warnings[0])
         rows.append((float(np.linalg.norm(off)), bool(spread <= CHI_SQUARED_95), warned))
     errors, inside, warned = (np.array(part) for part in zip(*rows, strict=True))
-    return Outcome(errors, inside, warned)
+    return PerturbationResult(errors, inside, warned)
 
 
 def measure(
     service: Client, sets: Sequence[EvaluationSet[Shown]], model: str
-) -> Iterator[tuple[str, Mapping[Shown, Outcome]]]:
+) -> Iterator[tuple[str, Mapping[Shown, PerturbationResult]]]:
     """Measure every perturbation; yields its name with the outcome of each scenario."""
     for one in PERTURBATIONS:
         yield (
@@ -220,7 +220,7 @@ def measure(
         )
 
 
-def results_table(measured: Sequence[tuple[str, Mapping[Shown, Outcome]]]) -> str:
+def results_table(measured: Sequence[tuple[str, Mapping[Shown, PerturbationResult]]]) -> str:
     """Return the table of a measurement, the unperturbed row first."""
     usual = {scenario: made.errors.mean() for scenario, made in measured[0][1].items()}
     rows: list[list[str]] = []

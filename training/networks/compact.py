@@ -11,7 +11,7 @@ from training.networks.blocks import (
     ObjectInteraction,
     SpatialReadout,
 )
-from training.networks.recurrent import Family, Head, Predictor, SharedStateFamily
+from training.networks.recurrent import Family, Head, RecurrentNetwork, SharedStateFamily
 from training.networks.task import Task
 
 CHANNELS = 128
@@ -39,8 +39,8 @@ def composed(
     transition: nn.Module,
     *,
     spin: bool,
-    kind: type[Predictor] = Predictor,
-) -> dict[str, Predictor]:
+    kind: type[RecurrentNetwork] = RecurrentNetwork,
+) -> dict[str, RecurrentNetwork]:
     """Predictors of the variants over one state of CHANNELS, which encoder and transition make."""
     readout = SpatialReadout(CHANNELS, 3) if spin else None
     return {

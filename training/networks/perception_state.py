@@ -27,7 +27,7 @@ from training.networks.recurrent import (
     Observation,
     PerceptionFamily,
     PerceptionOutput,
-    Predictor,
+    RecurrentNetwork,
     SharedStateFamily,
     State,
 )
@@ -185,8 +185,8 @@ class AttendedTransition(nn.Module):
         return (GRID * answer.transpose(1, 2) @ write_weights).unflatten(2, (GRID, GRID))
 
 
-class PerceptionStatePredictor(Predictor, PerceptionNetwork):
-    """Predictor on a state that perception initialises."""
+class PerceptionStateNetwork(RecurrentNetwork, PerceptionNetwork):
+    """Recurrent network on a state that perception initialises."""
 
     def begin(self, perceived: PerceptionOutput, finals_BN2: Tensor | None) -> State:
         """h_0 from the outputs of perception."""
@@ -219,5 +219,5 @@ def perception_state_family(variants: Mapping[str, str], task: Task) -> Family:
     encoder = PerceptionStateEncoder(task, CHANNELS)
     interaction = ObjectInteraction() if task.meetings else None
     transition = AttendedTransition(CHANNELS, interaction)
-    spin, kind = task.angular_velocity, PerceptionStatePredictor
+    spin, kind = task.angular_velocity, PerceptionStateNetwork
     return PerceptionStateFamily(composed(variants, encoder, transition, spin=spin, kind=kind))

@@ -216,7 +216,7 @@ class Network(nn.Module, ABC):
         return stacked(steps)
 
 
-class Predictor(Network):
+class RecurrentNetwork(Network):
     """Encoder x transition x head x angular velocity.
 
     Parameters
@@ -322,7 +322,7 @@ class SharedStateFamily(Family):
         Predictors by name, made of the same encoder, transition and spin modules.
     """
 
-    def __init__(self, members: Mapping[str, Predictor]) -> None:
+    def __init__(self, members: Mapping[str, RecurrentNetwork]) -> None:
         super().__init__(members)
         first = next(iter(members.values()))
         if any(
@@ -332,9 +332,9 @@ class SharedStateFamily(Family):
         ):
             raise ValueError("the members of a family share encoder, transition and spin read-out")
 
-    def predictors(self) -> dict[str, Predictor]:
+    def predictors(self) -> dict[str, RecurrentNetwork]:
         """Return the members by name."""
-        return {n: one for n, one in self.networks().items() if isinstance(one, Predictor)}
+        return {n: one for n, one in self.networks().items() if isinstance(one, RecurrentNetwork)}
 
     def shared_parameters(self) -> list[nn.Parameter]:
         """Return the parameters of encoder, transition and spin read-out."""

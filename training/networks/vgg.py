@@ -22,7 +22,7 @@ from training.networks.recurrent import (
     Head,
     IncrementalMotion,
     PointOutput,
-    Predictor,
+    RecurrentNetwork,
     SharedStateFamily,
 )
 from training.networks.task import Task
@@ -163,7 +163,7 @@ def paper_family(variants: Mapping[str, str], task: Task) -> Family:
     spin = Perceptron(channels, SPIN) if task.angular_velocity else None
     return SharedStateFamily(
         {
-            name: Predictor(encoder, transition, HEADS[variant](channels), spin)
+            name: RecurrentNetwork(encoder, transition, HEADS[variant](channels), spin)
             for name, variant in variants.items()
         }
     )

@@ -53,7 +53,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RoundResult:
     """What a finished round gave: mean validation errors in pixels."""
 
     error_before_px: float | None
@@ -184,20 +184,20 @@ def initial_of(chosen: Round, models: Path) -> list[Initial]:
     return [read_initial(folder) for folder in own or parents]
 
 
-def train(chosen: Round, models: Path, config: TrainerConfig) -> Outcome:
+def train(chosen: Round, models: Path, config: TrainerConfig) -> RoundResult:
     """Train a round to its end; return what it gave."""
     before = committed_errors(chosen.recipe, models)
     trainer = Trainer(chosen.recipe, chosen.folder, config, initial_of(chosen, models))
     error = trainer.run()
     mean = None if before is None else sum(before.values()) / len(before)
-    return Outcome(mean, error)
+    return RoundResult(mean, error)
 
 
-def finish(chosen: Round, outcome: Outcome) -> None:
+def finish(chosen: Round, outcome: RoundResult) -> None:
     """Write down what a round gave, once its models are exported: it is not trained again."""
     (chosen.folder / OUTCOME).write_text(json.dumps(asdict(outcome)) + "\n", encoding="utf-8")
 
 
-def read_outcome(folder: Path) -> Outcome:
+def read_outcome(folder: Path) -> RoundResult:
     """Read what a finished round gave."""
-    return Outcome(**json.loads((folder / OUTCOME).read_text("utf-8")))
+    return RoundResult(**json.loads((folder / OUTCOME).read_text("utf-8")))

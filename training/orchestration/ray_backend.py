@@ -12,7 +12,7 @@ from ray.train.torch import TorchConfig, TorchTrainer
 
 from training.common.settings import RUNS_VARIABLE, runs_folder
 from training.data.shards import SHARDS_PER_WORKER, Makers, Shard
-from training.orchestration.auto_training import Outcome, Round
+from training.orchestration.auto_training import Round, RoundResult
 
 ALWAYS = -1
 """Failures after which Ray still tries again."""
@@ -83,8 +83,8 @@ def train_together(address: str, processes: int, folder: Path, run: Callable[[],
 
 
 def train_rounds(
-    address: str, folder: Path, rounds: Sequence[Round], train: Callable[[Round], Outcome]
-) -> list[Outcome]:
+    address: str, folder: Path, rounds: Sequence[Round], train: Callable[[Round], RoundResult]
+) -> list[RoundResult]:
     """Train rounds that do not need each other, each as a trial of Ray Tune.
 
     Parameters
@@ -116,6 +116,6 @@ def train_rounds(
         )
         found = {result.metrics["round"]: result.metrics for result in tuner.fit()}
     return [
-        Outcome(found[number]["error_before_px"], found[number]["error_px"])
+        RoundResult(found[number]["error_before_px"], found[number]["error_px"])
         for number in range(len(rounds))
     ]

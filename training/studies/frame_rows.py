@@ -22,8 +22,8 @@ from training.studies.rows import (
     POSITIONS,
     POSITIONS_AND_SPINS,
     VALIDATION_SCENES,
-    Outcome,
     Row,
+    RowResult,
     StudyBudget,
     folder,
 )
@@ -96,7 +96,7 @@ def _from_frames(
     configure: Configure,
     batch_size: int,
 ) -> Row:
-    def measure(test: FixedScenes, budget: StudyBudget) -> Outcome:
+    def measure(test: FixedScenes, budget: StudyBudget) -> RowResult:
         case = test.case.usual
         shards = simulate_split(case.source, "training", case.data.scenes, budget.workers)
 
@@ -124,7 +124,7 @@ def _from_frames(
         fitted = fit(partial(build, case), config, home, validate)
         with torch.inference_mode():
             made = _seen(fitted.learner, test)
-        return Outcome(made, config.batches, fitted.converged)
+        return RowResult(made, config.batches, fitted.converged)
 
     return Row(method, measure, architecture, supervision, learns=True, given_states=False)
 

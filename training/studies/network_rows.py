@@ -19,8 +19,8 @@ from training.studies.rows import (
     BUDGET,
     POSITIONS,
     POSITIONS_AND_SPINS,
-    Outcome,
     Row,
+    RowResult,
     StudyBudget,
 )
 
@@ -47,10 +47,10 @@ def ours(recipe: Recipe, member: str, method: str) -> Row:
         Of one kind of scene a scenario.
     """
 
-    def measure(test: FixedScenes, budget: StudyBudget) -> Outcome:
+    def measure(test: FixedScenes, budget: StudyBudget) -> RowResult:
         network, trainer = _trained(recipe, member, budget)
         made = _seeing(network, test, recipe.task.final_step)
-        return Outcome(made, trainer.optimisation.batches, trainer.converged)
+        return RowResult(made, trainer.optimisation.batches, trainer.converged)
 
     def fits(case: BenchmarkCase) -> bool:
         seen = {share.source.override for share in recipe.data}
@@ -68,7 +68,7 @@ def ours_trained_to_each(recipes: Mapping[int, Recipe], member: str, method: str
         By T, the last step of their training.
     """
 
-    def measure(test: FixedScenes, budget: StudyBudget) -> Outcome:
+    def measure(test: FixedScenes, budget: StudyBudget) -> RowResult:
         made: dict[int, Forecasts] = {}
         ends: list[bool | None] = []
         batches = 0
@@ -85,7 +85,7 @@ def ours_trained_to_each(recipes: Mapping[int, Recipe], member: str, method: str
                     :, :, begin:steps
                 ]
             begin = steps
-        return Outcome(whole, batches, None if None in ends else all(ends))
+        return RowResult(whole, batches, None if None in ends else all(ends))
 
     def fits(case: BenchmarkCase) -> bool:
         return case.objects == recipes[max(recipes)].task.objects
@@ -95,7 +95,7 @@ def ours_trained_to_each(recipes: Mapping[int, Recipe], member: str, method: str
 
 def _compact(
     method: str,
-    measure: Callable[[FixedScenes, StudyBudget], Outcome],
+    measure: Callable[[FixedScenes, StudyBudget], RowResult],
     recipe: Recipe,
     fits: Callable[[BenchmarkCase], bool],
 ) -> Row:
@@ -131,8 +131,8 @@ def shipped(folder: Path) -> Row:
     sequences = manifest.training["sequences"]
     assert isinstance(sequences, int)
 
-    def measure(test: FixedScenes, budget: StudyBudget) -> Outcome:  # noqa: ARG001
-        return Outcome(_seeing(network, test, manifest.final_step))
+    def measure(test: FixedScenes, budget: StudyBudget) -> RowResult:  # noqa: ARG001
+        return RowResult(_seeing(network, test, manifest.final_step))
 
     def fits(case: BenchmarkCase) -> bool:
         return case.objects == manifest.objects

@@ -85,7 +85,7 @@ def paper_method(method: str) -> str:
     return method.removeprefix(COMPACT)
 
 
-class Outcome(NamedTuple):
+class RowResult(NamedTuple):
     """Forecasts of a row, and the training that they came from.
 
     Attributes
@@ -128,7 +128,7 @@ class Row:
     """
 
     method: str
-    measure: Callable[[FixedScenes, StudyBudget], Outcome]
+    measure: Callable[[FixedScenes, StudyBudget], RowResult]
     architecture: str
     supervision: str
     learns: bool
@@ -150,9 +150,9 @@ class Row:
 def constant_position() -> Row:
     """Every ball stays where it is at t = 0."""
 
-    def measure(test: FixedScenes, budget: StudyBudget) -> Outcome:  # noqa: ARG001
+    def measure(test: FixedScenes, budget: StudyBudget) -> RowResult:  # noqa: ARG001
         truth = np.stack([window.positions for window in test.truth])
-        return Outcome(beside_truth(test.truth, constant_positions(truth), None, None))
+        return RowResult(beside_truth(test.truth, constant_positions(truth), None, None))
 
     return Row(
         "constant position", measure, "true position of t = 0", "-", learns=False, given_states=True
@@ -162,10 +162,10 @@ def constant_position() -> Row:
 def middle_of_frame() -> Row:
     """Every ball is always in the middle: what a network that has learned nothing errs like."""
 
-    def measure(test: FixedScenes, budget: StudyBudget) -> Outcome:  # noqa: ARG001
+    def measure(test: FixedScenes, budget: StudyBudget) -> RowResult:  # noqa: ARG001
         positions = np.stack([window.positions for window in test.truth])
         middle = np.full_like(positions, NETWORK_FRAME_SIZE / 2)
-        return Outcome(beside_truth(test.truth, middle, None, None))
+        return RowResult(beside_truth(test.truth, middle, None, None))
 
     return Row(MIDDLE, measure, "-", "-", learns=False, given_states=True)
 
@@ -173,11 +173,11 @@ def middle_of_frame() -> Row:
 def least_squares(method: str, degree: int) -> Row:
     """Linear or Quadratic."""
 
-    def measure(test: FixedScenes, budget: StudyBudget) -> Outcome:  # noqa: ARG001
+    def measure(test: FixedScenes, budget: StudyBudget) -> RowResult:  # noqa: ARG001
         horizon = test.case.horizon
         positions = polynomial(test.seen_positions(POINTS), degree, horizon)
         spins = polynomial(test.first_spins(), degree, horizon)
-        return Outcome(beside_truth(test.truth, positions, None, spins))
+        return RowResult(beside_truth(test.truth, positions, None, spins))
 
     architecture = f"least squares through {POINTS} true positions"
     return Row(method, measure, architecture, "-", learns=False, given_states=True)
@@ -186,7 +186,7 @@ def least_squares(method: str, degree: int) -> Row:
 def oracle(noise_px: float | None) -> Row:
     """Return the simulator, restarted from the truth or from four positions with noise."""
 
-    def measure(test: FixedScenes, budget: StudyBudget) -> Outcome:  # noqa: ARG001
+    def measure(test: FixedScenes, budget: StudyBudget) -> RowResult:  # noqa: ARG001
         simulator = Oracle()
         horizon = test.case.horizon
         positions: list[np.ndarray] = []
@@ -202,7 +202,7 @@ def oracle(noise_px: float | None) -> Row:
             positions.append(path.positions)
             spins.append(path.angular_velocities)
         simulator.close()
-        return Outcome(beside_truth(test.truth, np.stack(positions), None, np.stack(spins)))
+        return RowResult(beside_truth(test.truth, np.stack(positions), None, np.stack(spins)))
 
     method = "simulator" if noise_px is None else f"simulator, {noise_px} px"
     return Row(method, measure, "PyBullet", "-", learns=False, given_states=True)

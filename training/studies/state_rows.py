@@ -23,8 +23,8 @@ from training.studies.rows import (
     PLAIN,
     STATE_BUDGET,
     VALIDATION_SCENES,
-    Outcome,
     Row,
+    RowResult,
     StudyBudget,
     folder,
 )
@@ -95,7 +95,7 @@ def _from_states(
 ) -> Row:
     method = name + ("" if angular_velocity else PLAIN)
 
-    def measure(test: FixedScenes, budget: StudyBudget) -> Outcome:
+    def measure(test: FixedScenes, budget: StudyBudget) -> RowResult:
         case = test.case.usual
         training = StateSet(case.recordings("training", case.data.scenes, budget.workers))
         known = FixedScenes(case, "validation", VALIDATION_SCENES, budget.workers)
@@ -109,7 +109,7 @@ def _from_states(
         fitted = fit(build, config, home, validate)
         with torch.inference_mode():
             made = _forecasts(fitted.learner, test.states, test)
-        return Outcome(made, config.batches, fitted.converged)
+        return RowResult(made, config.batches, fitted.converged)
 
     supervision = "true positions, angular velocities" if angular_velocity else "true positions"
     return Row(

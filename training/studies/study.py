@@ -8,7 +8,7 @@ from training.evaluation.evaluate import Measured, measured_at, rounded
 from training.evaluation.paper import published
 from training.reporting.results import Curve, Measurement, Results, curve_of
 from training.studies.benchmark_case import BenchmarkCase, FixedScenes
-from training.studies.rows import Outcome, Row, StudyBudget
+from training.studies.rows import Row, RowResult, StudyBudget
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Study:
 
 
 def measured(
-    study: str, case: BenchmarkCase, row: Row, outcomes: Sequence[Outcome], budget: StudyBudget
+    study: str, case: BenchmarkCase, row: Row, outcomes: Sequence[RowResult], budget: StudyBudget
 ) -> tuple[list[Measurement], Curve]:
     """Measure a row at the moments that are compared, and its error over time.
 

@@ -28,7 +28,7 @@ from service.http.oip.schemas import (
     InferResponse,
     TensorMetadata,
 )
-from service.inference.rollout import Forecast
+from service.inference.rollout import ForecastArrays
 
 HORIZON_INPUT = "horizon"
 BALLS_INPUT = "balls"
@@ -151,7 +151,7 @@ def read_query(
     return Query(request.id, frames, horizon, balls, outputs)
 
 
-def write_answer(query: Query, manifest: Manifest, forecast: Forecast) -> Message:
+def write_answer(query: Query, manifest: Manifest, forecast: ForecastArrays) -> Message:
     """Write the outputs that a request wants.
 
     Raises

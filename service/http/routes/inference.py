@@ -41,7 +41,7 @@ from service.inference.deadlines import (
 from service.inference.rollout import Predictor, assemble
 from service.inference.scheduler import DecodedRequest
 from service.observability.tracing import Stages
-from service.state import ServiceState, State
+from service.state import AppState, ServiceState
 
 OCTETS = "application/octet-stream"
 PLATFORM = "onnxruntime_onnx"
@@ -146,12 +146,12 @@ async def infer_by_version(
     return await _infer(request, service, name, version)
 
 
-def _predictor(service: State, name: str, version: str | None = None) -> Predictor:
+def _predictor(service: AppState, name: str, version: str | None = None) -> Predictor:
     service.require_serving()
     return service.registry.predictor(name, version)
 
 
-def _metadata(predictor: Predictor, service: State) -> ModelMetadata:
+def _metadata(predictor: Predictor, service: AppState) -> ModelMetadata:
     manifest = predictor.manifest
     return ModelMetadata(
         name=manifest.name,
@@ -163,7 +163,7 @@ def _metadata(predictor: Predictor, service: State) -> ModelMetadata:
 
 
 async def _infer(
-    request: Request, service: State, name: str, version: str | None = None
+    request: Request, service: AppState, name: str, version: str | None = None
 ) -> Response:
     predictor = _predictor(service, name, version)
     try:
@@ -188,7 +188,7 @@ class Batch:
     _query: Query
 
     def __init__(
-        self, body: Body, length: str | None, predictor: Predictor, service: State
+        self, body: Body, length: str | None, predictor: Predictor, service: AppState
     ) -> None:
         self._body = body
         self._length = length

@@ -29,7 +29,7 @@ from service.inference.deadlines import (
     timeout_s,
 )
 from service.inference.scheduler import Job
-from service.state import ServiceState, State
+from service.state import AppState, ServiceState
 
 router = APIRouter(tags=["forecast"])
 
@@ -54,7 +54,7 @@ async def predict(request: Request, service: ServiceState) -> Response:
 
 async def answer_frames(
     request: Request,
-    service: State,
+    service: AppState,
     model: type[R],
     job_of: Callable[[Parser[R], CancellationToken], Job[str]],
 ) -> Response:

@@ -3,7 +3,7 @@
 from fastapi import APIRouter, WebSocket
 
 from service.http.authorization import check_origin
-from service.http.session import Session
+from service.http.session import ForecastSession
 from service.inference.deadlines import timeout_s
 from service.state import ServiceState
 
@@ -18,6 +18,6 @@ async def stream(websocket: WebSocket, service: ServiceState) -> None:
     """
     check_origin(websocket, service.settings.allowed_origins)
     service.require_serving()
-    session = Session(websocket, service, timeout_s(websocket, service.settings))
+    session = ForecastSession(websocket, service, timeout_s(websocket, service.settings))
     await websocket.accept()
     await session.run()

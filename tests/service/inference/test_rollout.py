@@ -10,7 +10,7 @@ from rollcast.manifest import CovarianceSource
 from rollcast.outputs import Units
 from rollcast.rollout import Step, roll_out, stacked
 from service.errors import DivergedError
-from service.inference.rollout import CovarianceFloor, Forecast, assemble
+from service.inference.rollout import CovarianceFloor, ForecastArrays, assemble
 from tests.service.samples import DotPredictor, dot, manifest
 
 FRAMES = np.stack([[dot(40 + 2 * index, 60 + index) for index in range(4)]])
@@ -165,7 +165,7 @@ def test_a_forecast_is_finite_or_refused(positions, first):
     except DivergedError:
         assert not np.isfinite(positions).all()
     else:
-        assert isinstance(made, Forecast)
+        assert isinstance(made, ForecastArrays)
         assert np.isfinite(made.positions).all()
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from training.evaluation.perturbations import PERTURBATIONS, Outcome, results_table
+from training.evaluation.perturbations import PERTURBATIONS, PerturbationResult, results_table
 
 BY_NAME = {one.name: one for one in PERTURBATIONS}
 PLACES = np.array([[30.0, 50.0], [34.0, 52.0], [38.0, 54.0], [42.0, 56.0]])
@@ -51,8 +51,8 @@ def test_every_perturbation_keeps_shape_and_type_and_changes_something(name):
 
 
 def test_the_ratio_is_the_mean_over_scenarios():
-    def made(error: float, *inside: bool) -> Outcome:
-        return Outcome(np.full(2, error), np.array(inside), np.array([True, False]))
+    def made(error: float, *inside: bool) -> PerturbationResult:
+        return PerturbationResult(np.full(2, error), np.array(inside), np.array([True, False]))
 
     table = results_table(
         [

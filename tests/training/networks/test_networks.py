@@ -9,14 +9,14 @@ from training.networks.recurrent import (
     LARGEST_VARIANCE_PX2,
     SMALLEST_VARIANCE_PX2,
     GaussianOutput,
-    Predictor,
+    RecurrentNetwork,
     SharedStateFamily,
     logit_of_variance,
 )
 from training.networks.task import Task
 
 
-def compact(variant: str, objects: int = 1, *, angular_velocity: bool = True) -> Predictor:
+def compact(variant: str, objects: int = 1, *, angular_velocity: bool = True) -> RecurrentNetwork:
     task = Task(objects, final_step_of(variant), angular_velocity=angular_velocity)
     return compact_family({"it": variant}, task).networks()["it"]
 

@@ -10,8 +10,8 @@ from rollcast.manifest import MANIFEST_FILE, Manifest
 from training.orchestration.auto_training import (
     OUTCOME,
     Line,
-    Outcome,
     Round,
+    RoundResult,
     finish,
     initial_of,
     next_rounds,
@@ -34,7 +34,7 @@ def known() -> list[Line]:
 def done(folder, name: str, number: int, before: float | None, after: float) -> None:
     at = folder / name / str(number)
     at.mkdir(parents=True)
-    (at / OUTCOME).write_text(json.dumps(asdict(Outcome(before, after))))
+    (at / OUTCOME).write_text(json.dumps(asdict(RoundResult(before, after))))
 
 
 def choices(known, folder) -> list[Round]:
@@ -70,11 +70,11 @@ def test_the_family_that_gained_most_goes_on_until_none_gains(known, tmp_path):
     chosen = choose(known, tmp_path)
     assert chosen is not None
     assert (chosen.recipe.name, chosen.number) == ("2-balls", 1)
-    finish_in(tmp_path, chosen, Outcome(8.0, 7.99))
+    finish_in(tmp_path, chosen, RoundResult(8.0, 7.99))
     following = choose(known, tmp_path)
     assert following is not None
     assert (following.recipe.name, following.number) == ("one-ball", 1)
-    finish_in(tmp_path, following, Outcome(9.0, 9.1))
+    finish_in(tmp_path, following, RoundResult(9.0, 9.1))
     assert choose(known, tmp_path) is None
 
 
@@ -91,7 +91,7 @@ def test_side_by_side_are_rounds_that_do_not_need_each_other(known, tmp_path):
     assert [one.number for one in choices(known, tmp_path)] == [1, 1]
 
 
-def finish_in(folder, chosen: Round, outcome: Outcome) -> None:
+def finish_in(folder, chosen: Round, outcome: RoundResult) -> None:
     at = folder / chosen.recipe.name / str(chosen.number)
     at.mkdir(parents=True)
     finish(replace(chosen, folder=at), outcome)
