@@ -17,7 +17,7 @@ RENAMED_PARTS = {
     "doubt": "covariance_change",
     "unsure": "covariance_from_sigmas",
     "encounters": "pair_interaction",
-    "scene_constants": "scene_constants",
+    "measures": "scene_constants",
     "bend": "endpoint_correction",
     "look": "refiner",
     "looks": "radius_and_visibility",
