@@ -27,7 +27,8 @@ from rollcast.trajectory import OBSERVED_FRAMES
 PERCEPTION_FILE = "perception.onnx"
 """Perception graph of networks that have one. Equal files are loaded once."""
 ENCODER_FILE = "encoder.onnx"
-STEP_FILE = "step.onnx"
+ROLLOUT_FILE = "rollout.onnx"
+"""Steps of the network, as many as are asked for in one call."""
 MANIFEST_FILE = "manifest.json"
 CARD_FILE = "MODEL_CARD.md"
 GOLDEN_FILE = "golden.npz"
@@ -36,7 +37,7 @@ OOD_FILE = "ood.npz"
 DETECTOR_FILE, REFINER_FILE = "detector.onnx", "refiner.onnx"
 """Graphs of networks for any number of balls: whole frames to candidates, and patches around them.
 """
-HASHED_FILES = (ENCODER_FILE, STEP_FILE, CARD_FILE, GOLDEN_FILE)
+HASHED_FILES = (ENCODER_FILE, ROLLOUT_FILE, CARD_FILE, GOLDEN_FILE)
 """Files that every artefact has."""
 BALL_FILES = (DETECTOR_FILE, REFINER_FILE, *HASHED_FILES)
 """Files of an artefact for any number of balls."""
@@ -53,8 +54,10 @@ SCENE_INPUTS = ("ground", "scene")
 SPACING_INPUT = "spacing"
 """Time between two seen frames [B], in steps of the rollout, which the encoder's graph reads too.
 """
+STEPS_INPUT = "steps"
+"""Number of steps, an input of the rollout graph, int64 without axes."""
 NEXT_PREFIX = "next_"
-"""The step graph reads the state as NAME and returns it as next_NAME."""
+"""The rollout graph reads the state as NAME and returns it as next_NAME."""
 
 
 def _known(name: OutputName) -> OutputName:
@@ -339,7 +342,7 @@ class Manifest(_Part):
 
     @property
     def step_output_names(self) -> tuple[OutputName, ...]:
-        """Names of the step graph's outputs, those of every step."""
+        """Names of the rollout graph's outputs, those of every step."""
         return tuple(name for name in self.output_names if SPECS[name].is_per_step)
 
     @property

@@ -58,8 +58,8 @@ class Detection:
 
         return find if opened.slow else find()
 
-    def step(self, index: int, outputs: Outputs) -> None:
-        """Take no step: there is no rollout."""
+    def take(self, outputs: Outputs) -> None:
+        """Take no steps: there is no rollout."""
 
     def finish(self) -> str:
         """Return the answer, JSON."""

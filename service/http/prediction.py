@@ -11,7 +11,7 @@ from rollcast.image_sequence import numbering_warnings
 from rollcast.manifest import Manifest
 from rollcast.ood import frame_stats
 from rollcast.outputs import FORECAST_OUTPUTS, STEP_OUTPUTS, OutputName, OutputSpec, Units
-from rollcast.rollout import Outputs, stacked
+from rollcast.rollout import Outputs, finite_steps, joined, part_of_steps
 from rollcast.scene import BallColor
 from rollcast.schemas import (
     AUTO_MODEL,
@@ -106,6 +106,7 @@ class _Forecast(ABC):
         self._floor: CovarianceFloor | None = None
         self._left: dict[int, int] = {}
         """Step at which a ball leaves the frame, by its id."""
+        self._begun = False
         self._rate = 0.0
         self._step_rate = 0.0
         self._horizon = 0
@@ -246,32 +247,34 @@ class _Forecast(ABC):
             predictor.rollout(balls.count), balls.found.packed, self._times.rollout_horizon
         )
 
-    def step(self, index: int, outputs: Outputs) -> Decoding | None:
-        """Take a step of the model; by the first one, another model may begin anew.
+    def take(self, outputs: Outputs) -> Decoding | None:
+        """Take the next steps of the model; by the first one, another model may begin anew.
 
         Raises
         ------
         service.errors.DivergedError
             When a number is not finite.
         """
-        if index == 0:
+        if not self._begun:
             if (instead := self._if_lost(outputs)) is not None:
                 return instead
+            self._begun = True
             self._stages.begin("rollout")
-        for made in self._times.add(outputs):
+        made = self._times.add(outputs)
+        if len(made["positions"]):
             self._take(made)
         return None
 
     @abstractmethod
     def _take(self, outputs: Outputs) -> None:
-        """Take the next step of the forecast."""
+        """Take the next steps of the forecast."""
 
     def _if_lost(self, outputs: Outputs) -> Decoding | None:
         """Warn of balls that were not found; let the model for OOD frames look for them."""
         known = self.manifest.place_uncertainty
         if known is None:
             return None
-        sigmas = place_sigmas(assemble(stacked([outputs]), self.manifest.covariance))
+        sigmas = place_sigmas(assemble(joined([outputs]), self.manifest.covariance))
         warnings = [lost_ball(self.manifest, known, sigma) for sigma in sigmas]
         if not any(warnings):
             return None
@@ -285,7 +288,7 @@ class _Forecast(ABC):
     def motions(
         self, outputs: Outputs, first_step: int
     ) -> tuple[ForecastArrays, ForecastArrays | None]:
-        """Turn stacked outputs into a forecast in pixels of 128.
+        """Turn joined outputs into a forecast in pixels of 128.
 
         Returns
         -------
@@ -368,10 +371,10 @@ class WholeForecast(_Forecast):
         metrics: Metrics,
     ) -> None:
         super().__init__(parse, token, registry, metrics)
-        self._steps: list[Outputs] = []
+        self._parts: list[Outputs] = []
 
     def _take(self, outputs: Outputs) -> None:
-        self._steps.append(outputs)
+        self._parts.append(outputs)
 
     def finish(self) -> str:
         """Write the answer.
@@ -381,13 +384,13 @@ class WholeForecast(_Forecast):
         service.errors.DivergedError
             When a number is not finite.
         """
-        made, other = self.motions(stacked(self._steps), first_step=0)
+        made, other = self.motions(joined(self._parts), first_step=0)
         forecast = self.answered(made, first_step=0)
         other = None if other is None else self.in_frame(other)
         response = PredictResponse(
             **dict(self.summary(forecast.outputs)),
             objects=_objects(forecast, self.balls, other),
-            times_s=[step / self._step_rate for step in range(len(self._steps))],
+            times_s=[step / self._step_rate for step in range(self._horizon)],
             ellipse50_radii=forecast.ellipse50_radii.tolist(),
         )
         return response.model_dump_json()
@@ -416,28 +419,33 @@ class StreamedForecast(_Forecast):
         self._handed = 0
 
     def _take(self, outputs: Outputs) -> None:
-        index, self._handed = self._handed, self._handed + 1
-        made, _ = self.motions(stacked([outputs]), first_step=index)
-        forecast = self.answered(made, first_step=index)
-        if index == 0:
+        finite = finite_steps(outputs)
+        if 0 < finite < len(outputs["positions"]):
+            # Steps before the one that diverges are handed over.
+            self._take(part_of_steps(outputs, slice(finite)))
+            outputs = part_of_steps(outputs, slice(finite, None))
+        made, _ = self.motions(joined([outputs]), first_step=self._handed)
+        forecast = self.answered(made, first_step=self._handed)
+        if self._handed == 0:
             self._first = forecast.outputs
-        self._emit(
-            StreamStep(
-                step=index,
-                time_s=index / self._step_rate,
-                ellipse50_radius=forecast.ellipse50_radii.item(),
-                objects=[
-                    StreamObject(
-                        id=ball.id,
-                        **{
-                            spec.step_name: values[0] if values else None
-                            for spec, values in _paths(forecast, ball)
-                        },
-                    )
-                    for ball in self._details
-                ],
+        paths = [list(_paths(forecast, ball)) for ball in self._details]
+        for place, radius in enumerate(forecast.ellipse50_radii.tolist()):
+            objects = [
+                StreamObject(
+                    id=ball.id,
+                    **{spec.step_name: values[place] if values else None for spec, values in path},
+                )
+                for ball, path in zip(self._details, paths, strict=True)
+            ]
+            step, self._handed = self._handed, self._handed + 1
+            self._emit(
+                StreamStep(
+                    step=step,
+                    time_s=step / self._step_rate,
+                    ellipse50_radius=radius,
+                    objects=objects,
+                )
             )
-        )
 
     def finish(self) -> None:
         """Hand over what is no step."""

@@ -61,8 +61,8 @@ class FrameCheck:
 
         return decode if opened.slow else decode()
 
-    def step(self, index: int, outputs: Outputs) -> None:
-        """Take no step: there is no rollout."""
+    def take(self, outputs: Outputs) -> None:
+        """Take no steps: there is no rollout."""
 
     def finish(self) -> None:
         """Return nothing: the frames are decoded."""

@@ -31,15 +31,17 @@ from rollcast.manifest import (
     NEXT_PREFIX,
     PATCHES_INPUT,
     REFINER_FILE,
+    ROLLOUT_FILE,
     SCENE_INPUTS,
     SPACING_INPUT,
-    STEP_FILE,
+    STEPS_INPUT,
     Manifest,
 )
 from rollcast.ood import OodDetector
+from rollcast.rollout import Arrays, Outputs, Step, Steps
 from rollcast.trajectory import OBSERVED_FRAMES
 from service.errors import InvalidValueError
-from service.inference.rollout import Arrays, Predictor, Step
+from service.inference.rollout import Predictor
 
 
 class GraphSession(Protocol):
@@ -89,7 +91,7 @@ class BallPredictor:
         self._detector = open_session(folder / DETECTOR_FILE)
         self._refiner = open_session(folder / REFINER_FILE)
         self._encoder = open_session(folder / ENCODER_FILE)
-        self._step = open_session(folder / STEP_FILE)
+        self._rollout_graph = open_session(folder / ROLLOUT_FILE)
         self._state = [tensor.name for tensor in manifest.state]
         self._outputs = list(manifest.output_names)
         self.rollout = cache(self._rollout)
@@ -148,14 +150,15 @@ class BallPredictor:
         found = [self.find(each[:OBSERVED_FRAMES], objects=objects) for each in frames]
         return self.rollout(objects).encode(np.concatenate([one.packed for one in found]))
 
-    def advance(self, state: Arrays) -> Step:
-        """Return the next state and the outputs of its step."""
+    def advance(self, state: Arrays, steps: int) -> Steps:
+        """Return the state after some steps and their outputs."""
         names = [*(f"{NEXT_PREFIX}{name}" for name in self._state), *self._outputs]
-        return self._as_step(self._step.run(names, state))
+        asked = {**state, STEPS_INPUT: np.array(steps)}
+        return Steps(*self._split(self._rollout_graph.run(names, asked)))
 
     def begin(self, seen: Arrays) -> Step:
         """Return the first state of balls that were found."""
-        return self._as_step(self._encoder.run([*self._state, *self._outputs], seen))
+        return Step(*self._split(self._encoder.run([*self._state, *self._outputs], seen)))
 
     def _rollout(self, objects: int) -> "BallRollout":
         return BallRollout(self, objects)
@@ -167,9 +170,9 @@ class BallPredictor:
     def _refine(self, patches: np.ndarray, wanted: Sequence[str]) -> Said:
         return dict(zip(wanted, self._refiner.run(wanted, {PATCHES_INPUT: patches}), strict=True))
 
-    def _as_step(self, values: Sequence[np.ndarray]) -> Step:
+    def _split(self, values: Sequence[np.ndarray]) -> tuple[Arrays, Outputs]:
         split = len(self._state)
-        return Step(
+        return (
             dict(zip(self._state, values[:split], strict=True)),
             dict(zip(self._outputs, values[split:], strict=True)),
         )
@@ -216,9 +219,9 @@ class BallRollout(Predictor):
             }
         )
 
-    def advance(self, state: Arrays) -> Step:
-        """Return the next state and the outputs of its step."""
-        return self._model.advance(state)
+    def advance(self, state: Arrays, steps: int) -> Steps:
+        """Return the state after some steps and their outputs."""
+        return self._model.advance(state, steps)
 
 
 def _wanted(balls: Balls, objects: int | None, most: int) -> np.ndarray:

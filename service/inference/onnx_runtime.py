@@ -16,13 +16,14 @@ from rollcast.manifest import (
     NEXT_PREFIX,
     OOD_FILE,
     PERCEPTION_FILE,
-    STEP_FILE,
+    ROLLOUT_FILE,
+    STEPS_INPUT,
     Manifest,
 )
 from rollcast.ood import OodDetector
 from rollcast.outputs import OutputName
 from rollcast.perception_io import run_perception
-from rollcast.rollout import Arrays, Step
+from rollcast.rollout import Arrays, Outputs, Step, Steps
 from service.inference.ball_predictor import BallPredictor
 from service.inference.rollout import Predictor
 from service.settings import CPU_PROVIDER, keep_runtime_silent
@@ -97,7 +98,7 @@ class OnnxPredictor:
         # After perception it is small sums: optimising takes half the load and makes none faster.
         self._encoder = _session(folder / ENCODER_FILE, provider, optimised=digest is None)
         self._read = [one.name for one in self._encoder.get_inputs()]
-        self._step = _session(folder / STEP_FILE, provider)
+        self._rollout = _session(folder / ROLLOUT_FILE, provider)
         self._state = [tensor.name for tensor in manifest.state]
         self._first = list(manifest.output_names)
         self._later = list(manifest.step_output_names)
@@ -112,15 +113,18 @@ class OnnxPredictor:
             seen = {FRAMES_INPUT: frames}
         else:
             seen = run_perception(self._perception.session(two_cores).run, self._read, frames)
-        return self._as_step(self._encoder.run(self._encoded, seen), self._first)
+        return Step(*self._split(self._encoder.run(self._encoded, seen), self._first))
 
-    def advance(self, state: Arrays) -> Step:
-        """Return the next state and the outputs of its step."""
-        return self._as_step(self._step.run(self._stepped, state), self._later)
+    def advance(self, state: Arrays, steps: int) -> Steps:
+        """Return the state after some steps and their outputs."""
+        asked = {**state, STEPS_INPUT: np.array(steps)}
+        return Steps(*self._split(self._rollout.run(self._stepped, asked), self._later))
 
-    def _as_step(self, values: list[np.ndarray], outputs: Sequence[OutputName]) -> Step:
+    def _split(
+        self, values: list[np.ndarray], outputs: Sequence[OutputName]
+    ) -> tuple[Arrays, Outputs]:
         split = len(self._state)
-        return Step(
+        return (
             dict(zip(self._state, values[:split], strict=True)),
             dict(zip(outputs, values[split:], strict=True)),
         )

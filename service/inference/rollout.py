@@ -14,7 +14,7 @@ from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.manifest import GAUSSIAN_ELLIPSE50_RADIUS, CovarianceSource, Manifest
 from rollcast.ood import OodDetector
 from rollcast.outputs import STEP_OUTPUTS, OutputName, Units, rescaled
-from rollcast.rollout import Arrays, Step
+from rollcast.rollout import Arrays, Step, Steps
 from service.errors import DivergedError
 
 MARGIN_PX = NETWORK_FRAME_SIZE / 10
@@ -41,8 +41,8 @@ class Predictor(Protocol):
         """
         ...
 
-    def advance(self, state: Arrays) -> Step:
-        """Return the next state and the outputs of its step."""
+    def advance(self, state: Arrays, steps: int) -> Steps:
+        """Return the state after some steps and their outputs."""
         ...
 
 

@@ -3,7 +3,7 @@
 A thread takes what is there in this order: answers to write, frames to encode, a rollout to lead.
 Threads share the waiting frames out, a few in one batch. The thread that leads a rollout steps all
 requests that have joined it, so while frames wait the next rollout grows, and the price of a step
-is shared. A request joins and leaves between two steps.
+is shared. Steps are taken a few at a time; requests join and leave in between.
 
 Large images are decoded in threads of their own: they never keep small requests waiting.
 """
@@ -21,7 +21,8 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 import numpy as np
 from jaxtyping import UInt8
 
-from rollcast.rollout import Arrays, Outputs
+from rollcast.outputs import SPECS
+from rollcast.rollout import Arrays, Outputs, part_of_steps
 from service.inference.admission import AdmissionLimit, Gauge
 from service.inference.deadlines import CancellationToken
 from service.inference.rollout import Predictor
@@ -31,6 +32,9 @@ T_co = TypeVar("T_co", covariant=True)
 
 MAX_CLOSE_S = 5.0
 """Seconds for which closing waits for the threads: their requests have ended or been cancelled."""
+STEPS_TOGETHER = 8
+"""Steps of a rollout in one call, between two of which requests join and leave. Calls one after the
+other would wait for Python's lock before each step."""
 ENCODED_TOGETHER = 4
 """Requests whose frames are encoded in one batch: more gain nothing (docs/benchmarks.md)."""
 
@@ -58,8 +62,10 @@ class Job(Protocol[T_co]):
         """Choose the model and decode the frames, or return what decodes them if that is slow."""
         ...
 
-    def step(self, index: int, outputs: Outputs) -> Decoding | None:
-        """Take the outputs [B, N, ...] of a step; the first come with the encoded frames.
+    def take(self, outputs: Outputs) -> Decoding | None:
+        """Take the outputs [T, B, N, ...] of the next steps.
+
+        The first step comes alone, with the encoded frames and the outputs of no step.
 
         Returns
         -------
@@ -107,17 +113,20 @@ class _Request(Generic[T]):
 
         self.fail_safely(decode)
 
-    def take(self, outputs: Outputs) -> bool:
-        """Take the outputs of the next step; return whether the request goes on in its rollout."""
-        index, self.steps = self.steps, self.steps + 1
+    def take(self, outputs: Outputs, steps: int) -> bool:
+        """Take the outputs of the next steps; return whether the request goes on in its rollout."""
+        wanted = min(steps, self.horizon - self.steps)
+        self.steps += wanted
+        if wanted < steps:
+            outputs = part_of_steps(outputs, slice(wanted))
 
-        def step() -> None:
-            instead = self.job.step(index, outputs)
+        def take() -> None:
+            instead = self.job.take(outputs)
             if instead is not None:
                 self.steps = 0
                 self._begin(instead)
 
-        return self.fail_safely(step) and not self.waits
+        return self.fail_safely(take) and not self.waits
 
     def _begin(self, decoding: Decoding) -> None:
         if decoding is None:
@@ -163,10 +172,10 @@ class _Batch:
             self.state = others.state
         self.members = [*self.members, *others.members]
 
-    def take(self, outputs: Outputs) -> list[_Request[Any]]:
-        """Give every member its rows of a step's outputs; return those that have ended, let go."""
+    def take(self, outputs: Outputs, steps: int) -> list[_Request[Any]]:
+        """Give every member its rows of steps' outputs; return those that have ended, let go."""
         shares = zip(self.members, self._shares(outputs), strict=True)
-        going_on = [member for member, share in shares if member.take(share)]
+        going_on = [member for member, share in shares if member.take(share, steps)]
         ended = [member for member in going_on if member.ended]
         self.keep([member for member in going_on if not member.ended])
         return ended
@@ -186,12 +195,18 @@ class _Batch:
         self.members = []
 
     def _shares(self, outputs: Outputs) -> list[Outputs]:
-        """Every member's rows of a step's outputs."""
+        """Every member's rows of steps' outputs."""
         if len(self.members) == 1:
             return [outputs]
         ends = np.cumsum([member.rows for member in self.members])
         rows = [slice(end - m.rows, end) for m, end in zip(self.members, ends, strict=True)]
-        return [{name: values[own] for name, values in outputs.items()} for own in rows]
+        return [
+            {
+                name: values[:, own] if SPECS[name].is_per_step else values[own]
+                for name, values in outputs.items()
+            }
+            for own in rows
+        ]
 
 
 @dataclass(eq=False)
@@ -210,19 +225,19 @@ class _Rollout:
         return self.here.rows + sum(arrived.rows for arrived in self.pending)
 
     def advance(self) -> list[_Request[Any]]:
-        """Step all requests that are not cancelled; return those that have ended."""
+        """Take steps of all requests that are not cancelled; return those that have ended."""
         here = self.here
         here.keep([m for m in here.members if m.fail_safely(m.token.raise_if_cancelled)])
         if not here.members:
             return []
         self.count(here.rows)
+        steps = min(STEPS_TOGETHER, max(m.horizon - m.steps for m in here.members))
         try:
-            step = self.predictor.advance(here.state)
+            here.state, outputs = self.predictor.advance(here.state, steps)
         except BaseException as error:  # whatever the runtime raises
             here.fail(error)
             return []
-        here.state = step.state
-        return here.take(step.outputs)
+        return here.take(outputs, steps)
 
 
 class Scheduler:
@@ -239,7 +254,7 @@ class Scheduler:
     shown
         Follows the number of requests held.
     batches
-        Returns what is told, for every step of a rollout, how many forecasts step together.
+        Returns what is told, whenever a rollout takes steps, how many forecasts step together.
     """
 
     def __init__(
@@ -390,7 +405,7 @@ class Scheduler:
                 together.fail(error)
                 continue
             together.state = step.state
-            for member in together.take(step.outputs):
+            for member in together.take(step.as_steps, 1):
                 member.finish()
             self._begin_anew([member for member, _ in group if member.waits])
             if together.members:

@@ -9,6 +9,9 @@ from rollcast.manifest import Manifest
 from rollcast.outputs import SPECS
 from rollcast.rollout import Outputs
 
+TOLERANCE = 1e-6
+"""Difference of times, in steps of the network, that is none."""
+
 
 def reads_rate(manifest: Manifest, frame_rate: float) -> bool:
     """Return whether a model is told the rate of frames that are so many a second."""
@@ -47,23 +50,36 @@ class StepTimes:
         nearest = round(last)
         return 1 + (nearest if math.isclose(last, nearest) else math.ceil(last))
 
-    def add(self, outputs: Outputs) -> list[Outputs]:
-        """Take the network's next step, and return the forecast's steps up to it."""
-        now, self._rolled = self._rolled, self._rolled + 1
-        made: list[Outputs] = []
-        while self._made < self._horizon:
-            share = self._made * self.spacing - (now - 1)
-            if share > 1 + 1e-9:
-                break
-            made.append(outputs if share > 1 - 1e-9 else self._between(outputs, share))
-            self._made += 1
-        self._before = outputs
-        return made
+    def add(self, outputs: Outputs) -> Outputs:
+        """Take the network's next steps, and return the forecast's steps up to the last of them.
 
-    def _between(self, outputs: Outputs, share: float) -> Outputs:
-        return {
-            name: np.float32(1 - share) * self._before[name] + np.float32(share) * now
-            if SPECS[name].is_per_step
-            else now
-            for name, now in outputs.items()
+        Both are [T, B, N, ...]; there may be none to return. Outputs of no step stay as they are.
+        """
+        if self.spacing == 1:
+            return outputs
+        of_steps = {name: values for name, values in outputs.items() if SPECS[name].is_per_step}
+        known = {
+            name: np.concatenate([self._before[name], values]) if self._before else values
+            for name, values in of_steps.items()
         }
+        self._before = {name: values[-1:] for name, values in of_steps.items()}
+        self._rolled += len(outputs["positions"])
+        count = len(known["positions"])
+        passed = 1 + math.floor((self._rolled - 1 + TOLERANCE) / self.spacing)
+        made = np.arange(self._made, min(passed, self._horizon))
+        self._made += len(made)
+        times = self.spacing * made - (self._rolled - count)
+        low = np.floor(times + TOLERANCE).astype(np.intp)
+        share = (times - low).clip(0).astype(np.float32)
+        share[share < TOLERANCE] = 0
+        # A step that lies on one of the network's does not depend on the next one.
+        high = low + (share > 0)
+        between = {
+            name: _between(values[low], values[high], share) for name, values in known.items()
+        }
+        return {**outputs, **between}
+
+
+def _between(before: np.ndarray, after: np.ndarray, share: np.ndarray) -> np.ndarray:
+    share = share.reshape(-1, *[1] * (before.ndim - 1))
+    return (1 - share) * before + share * after

@@ -1,4 +1,4 @@
-"""What a forecast costs in a batch: encoder and step at several sizes, on one core and on all.
+"""What a forecast costs in a batch: encoder and rollout at several sizes, on one core and on all.
 
 python -m tests.bench.curve GRAPH --batch 4 --seconds 1
 
@@ -20,14 +20,14 @@ from tests.bench.harness import side_by_side
 from tests.bench.loop import CORES, BareLoop
 from tests.bench.payloads import frames
 
-Graph = Literal["encoder", "step"]
-GRAPHS: tuple[Graph, ...] = ("encoder", "step")
+Graph = Literal["encoder", "rollout"]
+GRAPHS: tuple[Graph, ...] = ("encoder", "rollout")
 BATCHES = (1, 2, 4, 8, 16)
 PREAMBLE = f"""## Batches
 
 Milliseconds per forecast in a batch, in ONNX Runtime with one thread per process: for one process,
 and for as many processes in parallel as there are cores ({CORES}). The scheduler's batch sizes for
-encoding frames and for rollout steps are based on these figures.
+encoding frames and for rollouts are based on these figures.
 """
 
 
@@ -94,7 +94,7 @@ def main() -> None:
     loop = BareLoop()
     images = np.repeat(frames()[None], given.batch, axis=0)
     found = loop.encode(images)
-    run = partial(loop.encode, images) if given.graph == "encoder" else partial(loop.step, found)
+    run = partial(loop.encode, images) if given.graph == "encoder" else partial(loop.roll, found)
     run()
     times: list[float] = []
     end = time.perf_counter() + given.seconds

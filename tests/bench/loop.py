@@ -32,23 +32,24 @@ def _opened(graph: Literal["perception", "encoder", "step"]) -> onnxruntime.Infe
 
 
 class BareLoop:
-    """Perception and encoder once, step HORIZON - 1 times; one thread."""
+    """Perception, encoder and rollout, one call each; one thread."""
 
     def __init__(self) -> None:
         self._perception = _opened("perception")
         self._encoder = _opened("encoder")
-        self._step = _opened("step")
-        self._state = [one.name for one in self._step.get_inputs()]
+        self._rollout = _opened("rollout")
+        self._state = [one.name for one in self._rollout.get_inputs() if one.name != "steps"]
         self._read = [one.name for one in self._encoder.get_inputs()]
         self._first = [one.name for one in self._encoder.get_outputs()]
-        self._next = [one.name.removeprefix("next_") for one in self._step.get_outputs()]
 
-    def forecast(self, images: np.ndarray) -> list[dict[str, np.ndarray]]:
-        """State and outputs [B, N, ...] of every step from frames [B, 4, 128, 128, 3]."""
-        steps = [self.encode(images)]
-        for _ in range(HORIZON - 1):
-            steps.append(self.step(steps[-1]))
-        return steps
+    def forecast(self, images: np.ndarray) -> dict[str, np.ndarray]:
+        """Outputs [B, N, HORIZON, ...] from frames [B, 4, 128, 128, 3]."""
+        first = self.encode(images)
+        later = self.roll(first)
+        return {
+            name: np.moveaxis(np.concatenate([first[name][None], later[name]]), 0, 2)
+            for name in OUTPUTS
+        }
 
     def encode(self, images: np.ndarray) -> dict[str, np.ndarray]:
         """State and outputs of the first step."""
@@ -56,17 +57,12 @@ class BareLoop:
         seen = dict(zip(self._read, read, strict=True))
         return dict(zip(self._first, self._encoder.run(None, seen), strict=True))
 
-    def step(self, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """State and outputs of the next step."""
-        state = {name: found[name] for name in self._state}
-        return dict(zip(self._next, self._step.run(None, state), strict=True))
+    def roll(self, first: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Outputs [T, B, N, ...] of all later steps."""
+        asked = {name: first[name] for name in self._state} | {"steps": np.array(HORIZON - 1)}
+        return dict(zip(OUTPUTS, self._rollout.run(OUTPUTS, asked), strict=True))
 
 
 def decoded(files: list[bytes]) -> np.ndarray:
     """Frames of PNG files."""
     return np.stack([np.asarray(Image.open(io.BytesIO(file))) for file in files])
-
-
-def stacked(steps: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Every output [B, N, HORIZON, ...] of a forecast."""
-    return {name: np.stack([step[name] for step in steps], axis=2) for name in OUTPUTS}

@@ -7,7 +7,7 @@ import pytest
 
 from rollcast.manifest import FRAMES_INPUT, GOLDEN_FILE, MANIFEST_FILE, Manifest
 from rollcast.ood import frame_stats
-from rollcast.rollout import Step, roll_out
+from rollcast.rollout import roll_out
 from service.inference.onnx_runtime import open_predictor
 from service.inference.rollout import Predictor, assemble
 from service.settings import Settings
@@ -78,15 +78,21 @@ def test_a_request_alone_is_answered_as_in_a_batch(predictor, frames):
 def test_requests_join_and_leave_between_steps(predictor, frames):
     """Continuous batching relies on it: the state has no axis but the batch that they share."""
     first, second = (predictor.encode(frames[index : index + 1]) for index in range(2))
-    first = predictor.advance(first.state)
-    joined = predictor.advance(
-        {name: np.concatenate([first.state[name], second.state[name]]) for name in first.state}
-    )
-    expected: list[Step] = [predictor.advance(first.state), predictor.advance(second.state)]
-    for index, step in enumerate(expected):
-        np.testing.assert_allclose(
-            joined.outputs["positions"][index], step.outputs["positions"][0], atol=1e-2
-        )
+    begun = predictor.advance(first.state, 3)
+    together = {name: np.concatenate([begun.state[name], second.state[name]]) for name in begun[0]}
+    joined = predictor.advance(together, 4).outputs["positions"]
+    alone = [predictor.advance(begun.state, 4), predictor.advance(second.state, 4)]
+    for index, steps in enumerate(alone):
+        np.testing.assert_allclose(joined[:, index], steps.outputs["positions"][:, 0], atol=1e-2)
+
+
+def test_steps_in_one_call_are_those_of_several(predictor, frames):
+    state = predictor.encode(frames[:1]).state
+    together = predictor.advance(state, 8).outputs
+    for step in range(8):
+        state, outputs = predictor.advance(state, 1)
+        for name, values in outputs.items():
+            np.testing.assert_array_equal(together[name][step], values[0])
 
 
 def test_covariances_are_symmetric_and_positive(predictor, frames):

@@ -98,11 +98,11 @@ def checkout(tmp_path_factory):
 
 def add_output(folder):
     shutil.copytree(MODEL, folder)
-    for name in ("encoder.onnx", "step.onnx"):
+    for name in ("encoder.onnx", "rollout.onnx"):
         model = onnx.load(folder / name)
         graph = model.graph
         (spins,) = (one for one in graph.output if one.name == "angular_velocities")
-        axes = [one.dim_param or one.dim_value for one in spins.type.tensor_type.shape.dim[:2]]
+        axes = [one.dim_param or one.dim_value for one in spins.type.tensor_type.shape.dim[:-1]]
         graph.initializer.append(helper.make_tensor("last_axis", TensorProto.INT64, [1], [-1]))
         graph.node.append(helper.make_node("Mul", [spins.name, spins.name], ["squares"]))
         graph.node.append(

@@ -156,7 +156,7 @@ def test_broken_models_leave_a_service_that_says_so(processes, tmp_path):
     manifest = models / "posnet" / "1" / MANIFEST_FILE
     manifest.unlink()
     os.mkfifo(manifest)
-    (models / "dispnet" / "1" / "step.onnx").write_bytes(b"no graph")
+    (models / "dispnet" / "1" / "rollout.onnx").write_bytes(b"no graph")
     with (
         Service(processes, ROLLCAST_MODELS_DIR=str(models)) as service,
         httpx2.Client(base_url=service.address, timeout=60) as client,
@@ -166,7 +166,7 @@ def test_broken_models_leave_a_service_that_says_so(processes, tmp_path):
         index = client.post("/v2/repository/index").json()
         reasons = {entry["name"]: entry["reason"] for entry in index}
         assert reasons["posnet"] == "manifest.json is not a regular file"
-        assert reasons["dispnet"].startswith("step.onnx is not the file that the manifest names")
+        assert reasons["dispnet"].startswith("rollout.onnx is not the file that the manifest names")
 
 
 @pytest.mark.parametrize("processes", [1, 2])

@@ -26,7 +26,7 @@ import psutil
 
 from rollcast import markdown
 from rollcast.client import Client
-from rollcast.manifest import ENCODER_FILE, STEP_FILE
+from rollcast.manifest import ENCODER_FILE, ROLLOUT_FILE
 from tests.bench.harness import answering, service
 from tests.bench.loop import MODEL, ROOT
 from tests.e2e.conftest import start_service, wait_until_ready
@@ -145,7 +145,7 @@ CHANGES = (cut, empty, swap, Path.unlink)
 
 def change_and_load(address: str, folder: Path, change: Callable[[Path], None]) -> None:
     """Change a file before and while its model is loaded: that is told, and mended by the next."""
-    path = folder / (STEP_FILE if change is not cut else ENCODER_FILE)
+    path = folder / (ROLLOUT_FILE if change is not cut else ENCODER_FILE)
     whole = path.read_bytes()
     load = f"{address}/v2/repository/models/{MODEL}/load"
     change(path)

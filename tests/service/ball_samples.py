@@ -11,7 +11,7 @@ from rollcast.manifest import (
     DETECTOR_FILE,
     ENCODER_FILE,
     REFINER_FILE,
-    STEP_FILE,
+    ROLLOUT_FILE,
 )
 from service.inference.ball_predictor import BallPredictor
 from service.serving.registry import Model
@@ -66,16 +66,18 @@ def _encode(**seen: np.ndarray) -> dict[str, np.ndarray]:
     return state | _outputs(places[:, :, -1])
 
 
-def _step(position: np.ndarray, velocity: np.ndarray) -> dict[str, np.ndarray]:
-    moved = position + velocity
-    return {"next_position": moved, "next_velocity": velocity} | _outputs(moved)
+def _roll(position: np.ndarray, velocity: np.ndarray, steps: np.ndarray) -> dict[str, np.ndarray]:
+    moved = [position + (1 + step) * velocity for step in range(int(steps))]
+    outputs = [_outputs(each) for each in moved]
+    stacked = {name: np.stack([one[name] for one in outputs]) for name in outputs[0]}
+    return {"next_position": moved[-1], "next_velocity": velocity} | stacked
 
 
 _GRAPHS = {
     DETECTOR_FILE: _detect,
     REFINER_FILE: _refine,
     ENCODER_FILE: _encode,
-    STEP_FILE: _step,
+    ROLLOUT_FILE: _roll,
 }
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 from rollcast.manifest import HASHED_FILES, Manifest
 from rollcast.ood import OodDetector
 from rollcast.outputs import SPECS
-from rollcast.rollout import Arrays, Step
+from rollcast.rollout import Arrays, Step, Steps
 from service.http.image_decoding import OpenedFrames
 from service.serving.registry import Model, Registry
 
@@ -126,6 +126,16 @@ def manifest(**changes: object) -> Manifest:
     return Manifest.model_validate(derived | fields)
 
 
+def one_by_one(step: Callable[[Arrays], Step], state: Arrays, steps: int) -> Steps:
+    """Take steps one after the other."""
+    made = []
+    for _ in range(steps):
+        taken = step(state)
+        state = taken.state
+        made.append(taken.outputs)
+    return Steps(state, {name: np.stack([one[name] for one in made]) for name in made[0]})
+
+
 class DotPredictor:
     """Follows the white square along a straight line.
 
@@ -146,7 +156,10 @@ class DotPredictor:
             return step
         return Step(step.state, {**step.outputs, "final_positions": positions[:, 4]})
 
-    def advance(self, state: Arrays) -> Step:
+    def advance(self, state: Arrays, steps: int) -> Steps:
+        return one_by_one(self.step, state, steps)
+
+    def step(self, state: Arrays) -> Step:
         return self._step(state["position"] + state["velocity"], state["velocity"])
 
     def _step(self, position: np.ndarray, velocity: np.ndarray) -> Step:

@@ -90,10 +90,10 @@ def test_a_forecast_that_has_begun_is_answered_by_the_model_it_began_with(client
     gate, entered = threading.Event(), threading.Event()
 
     class Slow(samples.DotPredictor):
-        def advance(self, state):
+        def step(self, state):
             entered.set()
             gate.wait(30)
-            return super().advance(state)
+            return super().step(state)
 
     model = disk["line"][0]
     disk["line"][0] = replace(model, predictor=Slow(model.manifest))

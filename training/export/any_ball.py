@@ -6,7 +6,6 @@ the encoder makes the first state of what they saw, and the step moves it on. Be
 """
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,15 +23,23 @@ from rollcast.manifest import (
     PATCHES_INPUT,
     REFINER_FILE,
     REFINER_OUTPUTS,
+    ROLLOUT_FILE,
     SCENE_INPUTS,
     SPACING_INPUT,
-    STEP_FILE,
 )
 from rollcast.outputs import OutputName
 from rollcast.patches import PATCH_SIZE
-from rollcast.rollout import roll_on
+from rollcast.rollout import joined
 from rollcast.trajectory import OBSERVED_FRAMES
-from training.export.onnx_graphs import free_axis, open_graphs, present, run_step, write_graph
+from training.export.onnx_graphs import (
+    free_axis,
+    open_graphs,
+    present,
+    run_step,
+    run_steps,
+    write_graph,
+    write_rollout_graph,
+)
 from training.networks.any_ball import AnyBallNet, seen_balls
 from training.networks.ball_detector import peaks
 from training.networks.perception import FEATURES
@@ -141,10 +148,8 @@ def write_ball_graphs(network: AnyBallNet, folder: Path) -> None:
     with torch.inference_mode():
         state = BallEncoderGraph(network)(*begun)[: len(STATE_NAMES)]
     stepped = [*(NEXT_PREFIX + name for name in STATE_NAMES), *OUTPUTS]
-    write_graph(
-        BallStepGraph(network), state, list(STATE_NAMES), stepped, folder / STEP_FILE,
-        ({0: batch}, both),
-    )  # fmt: skip
+    axes = ({0: batch}, both)
+    write_rollout_graph(BallStepGraph(network), state, stepped, folder / ROLLOUT_FILE, axes)
 
 
 class BallGraphs:
@@ -157,8 +162,8 @@ class BallGraphs:
     """
 
     def __init__(self, folder: Path) -> None:
-        files = (DETECTOR_FILE, REFINER_FILE, ENCODER_FILE, STEP_FILE)
-        self._detector, self._refiner, self._encoder, self._step = open_graphs(
+        files = (DETECTOR_FILE, REFINER_FILE, ENCODER_FILE, ROLLOUT_FILE)
+        self._detector, self._refiner, self._encoder, self._rollout = open_graphs(
             folder, files
         ).values()
 
@@ -185,5 +190,7 @@ class BallGraphs:
         seen = {name: getattr(balls, name)[None].astype(np.float32) for name in BALL_INPUTS}
         seen |= {name: said[name] for name in SCENE_INPUTS}
         seen[SPACING_INPUT] = np.array([spacing], np.float32)
-        rolled = roll_on(partial(run_step, self._step), run_step(self._encoder, seen), horizon)
+        first = run_step(self._encoder, seen)
+        later = run_steps(self._rollout, first.state, horizon - 1)
+        rolled = joined([first.as_steps, later.outputs])
         return {name: rolled[name][0] for name in OUTPUTS}

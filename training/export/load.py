@@ -5,7 +5,7 @@ from pathlib import Path
 import onnx
 import torch
 
-from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, PERCEPTION_FILE, STEP_FILE, Manifest
+from rollcast.manifest import ENCODER_FILE, MANIFEST_FILE, PERCEPTION_FILE, ROLLOUT_FILE, Manifest
 from training.common.run_folder import BEST, current_name, read_best
 from training.engine.warm_start import Initial, placed
 from training.export.weight_rounding import stored_weights
@@ -19,7 +19,7 @@ from training.recipes.any_ball import warm_network
 def read_parameters(folder: Path) -> dict[str, torch.Tensor]:
     """Parameters of an exported model by torch's current names: its graphs' initialisers."""
     parameters: dict[str, torch.Tensor] = {}
-    for file in (PERCEPTION_FILE, ENCODER_FILE, STEP_FILE):
+    for file in (PERCEPTION_FILE, ENCODER_FILE, ROLLOUT_FILE):
         if (folder / file).exists():
             stored = stored_weights(onnx.load(folder / file).graph)
             parameters |= {current_name(name): value for name, value in stored.items()}

@@ -20,13 +20,15 @@ from rollcast.manifest import (
     FRAMES_INPUT,
     NEXT_PREFIX,
     PERCEPTION_FILE,
-    STEP_FILE,
+    ROLLOUT_FILE,
+    STEPS_INPUT,
 )
 from rollcast.outputs import SPECS, OutputName
 from rollcast.perception_io import FINALS, PLACES, run_perception
-from rollcast.rollout import Arrays, Step, roll_out
+from rollcast.rollout import Arrays, Step, Steps, roll_out
 from rollcast.trajectory import OBSERVED_FRAMES
 from training.common.settings import keep_runtime_silent
+from training.export.repeated_step import repeat_step
 from training.export.weight_rounding import rename, store_in_bytes
 from training.networks.perception import Perception, PerceptionNetwork, perceive
 from training.networks.recurrent import Network, Observation, PerceptionOutput, State
@@ -135,7 +137,19 @@ def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
         state = tuple(predictor.start(frames))
     of_steps = [name for name in outputs if SPECS[name].is_per_step]
     stepped = [*(NEXT_PREFIX + name for name in STATE_NAMES), *of_steps]
-    write_graph(StepGraph(predictor), state, list(STATE_NAMES), stepped, folder / STEP_FILE)
+    write_rollout_graph(StepGraph(predictor), state, stepped, folder / ROLLOUT_FILE)
+
+
+def write_rollout_graph(
+    step: torch.nn.Module,
+    state: tuple[Tensor, ...],
+    outputs: Sequence[str],
+    path: Path,
+    axes: Sequence[Mapping[int, object]] | None = None,
+) -> None:
+    """Write a graph of many steps from a module of one; parameters as of :func:`write_graph`."""
+    write_graph(step, state, list(STATE_NAMES), outputs, path, axes)
+    onnx.save(repeat_step(onnx.load(path)), path)
 
 
 def write_graph(
@@ -212,9 +226,9 @@ class Graphs:
     """
 
     def __init__(self, folder: Path) -> None:
-        opened = open_graphs(folder, (PERCEPTION_FILE, ENCODER_FILE, STEP_FILE))
+        opened = open_graphs(folder, (PERCEPTION_FILE, ENCODER_FILE, ROLLOUT_FILE))
         self._perception = opened.get(PERCEPTION_FILE)
-        self._encoder, self._step = opened[ENCODER_FILE], opened[STEP_FILE]
+        self._encoder, self._rollout = opened[ENCODER_FILE], opened[ROLLOUT_FILE]
         self._read = [one.name for one in self._encoder.get_inputs()]
 
     def encode(self, frames: UInt8[np.ndarray, "B K 128 128 3"]) -> Step:
@@ -224,17 +238,23 @@ class Graphs:
             seen = run_perception(self._perception.run, self._read, frames)
         return run_step(self._encoder, seen)
 
-    def advance(self, state: Arrays) -> Step:
-        """Return the next state and the outputs of its step."""
-        return run_step(self._step, state)
+    def advance(self, state: Arrays, steps: int) -> Steps:
+        """Return the state after some steps and their outputs."""
+        return run_steps(self._rollout, state, steps)
 
     def roll(self, frames: np.ndarray, horizon: int) -> dict[OutputName, np.ndarray]:
         """Forecast the steps 0..horizon-1 of frames: outputs [B, N, T, ...] by name."""
-        return dict(roll_out(self, frames, horizon))
+        return roll_out(self, frames, horizon)
+
+
+def run_steps(session: "InferenceSession", state: Arrays, steps: int) -> Steps:
+    """Return the state and the outputs of a rollout graph."""
+    last = run_step(session, {**state, STEPS_INPUT: np.array(steps)})
+    return Steps(last.state, last.outputs)
 
 
 def run_step(session: "InferenceSession", inputs: Arrays) -> Step:
-    """Return the state and the outputs of an encoder or a step."""
+    """Return the state and the outputs of an encoder."""
     names = [one.name for one in session.get_outputs()]
     values = dict(zip(names, session.run(names, dict(inputs)), strict=True))
     return Step.split(values, [name for name in SPECS if name in values])

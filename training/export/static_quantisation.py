@@ -22,7 +22,7 @@ from rollcast.manifest import (
     MANIFEST_FILE,
     OOD_FILE,
     PERCEPTION_FILE,
-    STEP_FILE,
+    ROLLOUT_FILE,
     Manifest,
     Parity,
 )
@@ -75,7 +75,7 @@ def quantise(source: Path, version: int, test_scenes: int, workers: int) -> Mani
             source / PERCEPTION_FILE, folder / PERCEPTION_FILE, _calibration_frames(validation)
         )
         known = () if float32.ood is None else (OOD_FILE,)
-        for file in (ENCODER_FILE, STEP_FILE, *known):
+        for file in (ENCODER_FILE, ROLLOUT_FILE, *known):
             shutil.copy(source / file, folder / file)
         slow, fast = Graphs(source), Graphs(folder)
         gain = _gain(slow, fast, validation[0], horizon)

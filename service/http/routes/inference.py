@@ -7,7 +7,7 @@ import numpy as np
 from fastapi import APIRouter, Request, Response, status
 
 from rollcast.camera import NETWORK_FRAME_SIZE
-from rollcast.rollout import Outputs, stacked
+from rollcast.rollout import Outputs, joined
 from rollcast.schemas import API_VERSION
 from service.http.oip.schemas import (
     InferRequest,
@@ -195,7 +195,7 @@ class Batch:
         self._predictor = predictor
         self._service = service
         self._stages = Stages(service.metrics)
-        self._steps: list[Outputs] = []
+        self._parts: list[Outputs] = []
 
     def begin(self) -> DecodedRequest:
         """Parse the body."""
@@ -217,15 +217,15 @@ class Batch:
         packed = np.concatenate([one.packed for one in found])
         return DecodedRequest(predictor.rollout(points.shape[1]), packed, self._query.horizon)
 
-    def step(self, index: int, outputs: Outputs) -> None:
-        """Keep a step's outputs."""
-        if index == 0:
+    def take(self, outputs: Outputs) -> None:
+        """Keep steps' outputs."""
+        if not self._parts:
             self._stages.begin("rollout")
-        self._steps.append(outputs)
+        self._parts.append(outputs)
 
     def finish(self) -> Message:
         """Write the answer."""
         manifest = self._predictor.manifest
         self._stages.end(manifest.label)
-        forecast = assemble(stacked(self._steps), manifest.covariance)
+        forecast = assemble(joined(self._parts), manifest.covariance)
         return write_answer(self._query, manifest, forecast)

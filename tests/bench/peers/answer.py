@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.bench.loop import BareLoop, decoded, stacked
+from tests.bench.loop import BareLoop, decoded
 
 Request = dict[str, Any]
 Answer = dict[str, Any]
@@ -24,7 +24,7 @@ class Answers:
 
     def forecasts(self, images: Sequence[np.ndarray]) -> list[Answer]:
         """Forecasts of several requests, rolled out as one batch."""
-        found = stacked(self._loop.forecast(np.stack(images)))
+        found = self._loop.forecast(np.stack(images))
         return [
             {name: values[index].tolist() for name, values in found.items()}
             for index in range(len(images))

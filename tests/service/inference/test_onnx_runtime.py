@@ -12,7 +12,7 @@ from rollcast.manifest import (
     GOLDEN_FILE,
     MANIFEST_FILE,
     PERCEPTION_FILE,
-    STEP_FILE,
+    ROLLOUT_FILE,
     Manifest,
 )
 from service.inference import onnx_runtime
@@ -45,7 +45,7 @@ def predictor(name: str) -> OnnxPredictor:
 def test_models_with_the_same_perception_share_it_whether_they_see_a_final_frame_or_not(opened):
     names = ("fieldnet", "posnet", "interpnet")
     models = [predictor(name) for name in names]
-    assert opened == [PERCEPTION_FILE, *(3 * [ENCODER_FILE, STEP_FILE])]
+    assert opened == [PERCEPTION_FILE, *(3 * [ENCODER_FILE, ROLLOUT_FILE])]
     for name, model in zip(names, models, strict=True):
         with np.load(MODELS / name / "1" / GOLDEN_FILE) as golden:
             outputs = model.encode(golden["frames"]).outputs
@@ -102,7 +102,7 @@ def test_a_missing_execution_provider_is_refused_with_those_that_exist():
 
 
 def test_a_provider_that_does_not_start_is_not_replaced_by_the_cpu():
-    step = MODELS / "fieldnet" / "1" / STEP_FILE
+    step = MODELS / "fieldnet" / "1" / ROLLOUT_FILE
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ONNX Runtime warns, and goes on without it
         with pytest.raises(RuntimeError, match="CUDAExecutionProvider does not start"):

@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as arrays
 
 from rollcast.manifest import CovarianceSource
 from rollcast.outputs import Units
-from rollcast.rollout import Step, roll_out, stacked
+from rollcast.rollout import Step, joined, roll_out
 from service.errors import DivergedError
 from service.inference.rollout import CovarianceFloor, ForecastArrays, assemble
 from tests.service.samples import DotPredictor, dot, manifest
@@ -37,14 +37,14 @@ def test_a_rollout_has_as_many_steps_as_are_asked_for(horizon):
     np.testing.assert_allclose(rolled["positions"][0, 0, :, 1], 63 + steps, atol=0.1)
 
 
-def test_steps_are_stacked_and_a_final_position_is_not():
-    rows = [
-        {"positions": np.full((1, 2, 2), step), "final_positions": np.full((1, 2, 2), 9 + step)}
-        for step in range(3)
+def test_steps_are_joined_and_a_final_position_is_not():
+    parts = [
+        {"positions": np.zeros((1, 1, 2, 2)), "final_positions": np.full((1, 2, 2), 9)},
+        {"positions": np.array([1, 2]).reshape(2, 1, 1, 1) * np.ones((2, 1, 2, 2))},
     ]
-    together = stacked(rows)
+    together = joined(parts)
     np.testing.assert_array_equal(together["positions"][0, 0], [[0, 0], [1, 1], [2, 2]])
-    np.testing.assert_array_equal(together["final_positions"], rows[0]["final_positions"])
+    np.testing.assert_array_equal(together["final_positions"], parts[0]["final_positions"])
 
 
 def test_a_predicted_covariance_is_the_networks():

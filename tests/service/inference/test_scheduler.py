@@ -33,7 +33,10 @@ class Counting:
         self.two_cores.append(two_cores)
         return self.step(frames)
 
-    def advance(self, state):
+    def advance(self, state, steps):
+        return samples.one_by_one(self.next, state, steps)
+
+    def next(self, state):
         assert self.gate.wait(SECONDS)
         self.batches.append(len(state["count"]))
         return self.step(state["count"] + 1)
@@ -56,9 +59,8 @@ class Count:
             assert self.encoding.wait(SECONDS)
         return DecodedRequest(self.network, self.numbers, self.horizon)
 
-    def step(self, index, outputs):
-        assert index == len(self.seen)
-        self.seen.append(outputs["positions"][:, 0, 0])
+    def take(self, outputs):
+        self.seen += list(outputs["positions"][:, :, 0, 0])
 
     def finish(self):
         return np.stack(self.seen, axis=1).tolist()
@@ -300,13 +302,13 @@ class Replaced(Count):
         self.slow = slow
         self.was_replaced = False
 
-    def step(self, index, outputs):
+    def take(self, outputs):
         if not self.was_replaced:
-            assert index == 0
+            assert len(outputs["positions"]) == 1
             self.was_replaced = True
             instead = DecodedRequest(self.other, self.numbers + 1000, self.horizon)
             return (lambda: instead) if self.slow else instead
-        return super().step(index, outputs)
+        return super().take(outputs)
 
 
 @pytest.mark.parametrize("slow", [False, True])
@@ -327,7 +329,7 @@ def test_another_network_may_begin_a_request_anew(start, network, slow, horizon)
 
 def test_a_request_that_fails_to_begin_anew_fails_alone(start, network):
     class Failing(Count):
-        def step(self, index, outputs):
+        def take(self, outputs):
             def decode():
                 raise ValueError("no image")
 
@@ -347,10 +349,10 @@ def test_a_request_that_fails_to_begin_anew_fails_alone(start, network):
 
 def test_one_failure_is_the_answer_of_one_request(start, network):
     class Failing(Count):
-        def step(self, index, outputs):
-            if index == 3:
+        def take(self, outputs):
+            if len(self.seen) == 1:
                 raise ValueError("a number is not finite")
-            super().step(index, outputs)
+            super().take(outputs)
 
     scheduler = start(threads=1)
     encoding = threading.Event()

@@ -42,8 +42,8 @@ def test_every_rollout_is_counted_by_stage_and_batch(client):
     for stage in ("decode", "encode", "rollout"):
         assert counted("rollcast_stage_seconds_count", stage, "dot@1") == 3
         assert counted("rollcast_stage_seconds_sum", stage, "dot@1") > 0
-    # Two requests of three steps, and two forecasts in one of twenty.
-    assert counted("rollcast_batch_size_sum", "dot@1") == 2 + 2 + 2 * 19
+    # Two requests of two steps in one call, and two forecasts of nineteen steps in three calls.
+    assert counted("rollcast_batch_size_sum", "dot@1") == 1 + 1 + 2 * 3
     assert counted("rollcast_requests_in_flight", "inference") == 0
 
 

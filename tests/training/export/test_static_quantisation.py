@@ -6,7 +6,7 @@ import numpy as np
 import onnx
 import pytest
 
-from rollcast.manifest import GOLDEN_FILE, MANIFEST_FILE, PERCEPTION_FILE, STEP_FILE, Manifest
+from rollcast.manifest import GOLDEN_FILE, MANIFEST_FILE, PERCEPTION_FILE, ROLLOUT_FILE, Manifest
 from training.export.onnx_graphs import Graphs
 from training.export.static_quantisation import (
     KEPT_IN_FLOAT,
@@ -70,7 +70,7 @@ def test_a_committed_version_in_8_bits_is_worth_it(manifest):
     assert float(figures.partition(" ")[0]) >= LEAST_GAIN
     name, _, version = label.partition("@")
     of = Manifest.read(MODELS / name / version / MANIFEST_FILE)
-    assert manifest.files[STEP_FILE] == of.files[STEP_FILE]
+    assert manifest.files[ROLLOUT_FILE] == of.files[ROLLOUT_FILE]
     for row, before in zip(manifest.metrics, of.metrics, strict=True):
         if (row.split, row.horizon) == ("validation", 20):
             assert row.position_error_px <= before.position_error_px + MOST_LOSS_PX

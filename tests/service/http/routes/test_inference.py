@@ -548,8 +548,8 @@ class Failing(samples.DotPredictor):
             raise RuntimeError("secret path /root")
         return super().encode(frames, two_cores=two_cores)
 
-    def advance(self, state):
-        return super().advance({**state, "velocity": state["velocity"] * np.float32(np.inf)})
+    def step(self, state):
+        return super().step({**state, "velocity": state["velocity"] * np.float32(np.inf)})
 
 
 def test_a_fault_of_the_service_tells_nothing_of_its_inside(start):

@@ -173,8 +173,8 @@ def exploding():
     model = served()
 
     class Exploding(type(model.predictor)):
-        def advance(self, state):
-            step = super().advance(state)
+        def step(self, state):
+            step = super().step(state)
             if step.state["position"][0, 0, 0] > 51:
                 step.outputs["positions"] = step.outputs["positions"] * np.inf
             return step

@@ -65,8 +65,8 @@ def test_what_is_refused_before_the_first_step_has_its_status(client):
 class Diverging(samples.DotPredictor):
     """Leaves every bound at step 3."""
 
-    def advance(self, state):
-        step = super().advance(state)
+    def step(self, state):
+        step = super().step(state)
         if step.outputs["positions"][0, 0, 0] >= 52:
             step.outputs["positions"][:] = np.nan
         return step
@@ -96,10 +96,10 @@ class Slow(samples.DotPredictor):
 
     taken = 0
 
-    def advance(self, state):
+    def step(self, state):
         type(self).taken += 1
         time.sleep(0.02)
-        return super().advance(state)
+        return super().step(state)
 
 
 @pytest.mark.parametrize("path", ["/predict", "/predict/stream"])
