@@ -39,9 +39,9 @@ export RAY_USAGE_STATS_ENABLED := 0
 
 BIN := .venv/test/bin
 PYTEST_ARGS ?=
-# Processes that run the tests side by side, a file at a time, each on one core.
+# Processes that run the tests side by side, a file at a time, in the order of tests/conftest.py.
 PROCESSES ?= 2
-SIDE_BY_SIDE = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(PROCESSES) --dist loadfile
+SIDE_BY_SIDE = -m pytest -n $(PROCESSES) --dist loadfile --no-loadscope-reorder
 
 # $(call step,NAME,COMMAND): one line before the command, and one that says which step failed.
 define step
@@ -82,10 +82,11 @@ serve:
 	@exec .venv/service/bin/python -m service --host 127.0.0.1 --port $(PORT)
 
 test: environments lint
-	$(call step,tests,$(SIDE_BY_SIDE) tests $(TORCH_FREE_TESTS:%=--ignore=%) $(PROTOCOL_TESTS:%=--ignore=%) $(IMAGE_TESTS:%=--ignore=%) $(CLUSTER_TESTS:%=--ignore=%) $(BROWSER_TESTS:%=--ignore=%) $(PYTEST_ARGS))
+	$(call step,tests,OMP_NUM_THREADS=1 $(BIN)/python $(SIDE_BY_SIDE) tests $(TORCH_FREE_TESTS:%=--ignore=%) $(PROTOCOL_TESTS:%=--ignore=%) $(IMAGE_TESTS:%=--ignore=%) $(CLUSTER_TESTS:%=--ignore=%) $(BROWSER_TESTS:%=--ignore=%) $(PYTEST_ARGS))
 	$(call step,no torch in the service environment,! .venv/service/bin/python -c 'import torch' 2>/dev/null)
-	$(call step,tests without torch,.venv/service-test/bin/python -m pytest $(or $(TORCH_FREE_TESTS),tests/service) $(PYTEST_ARGS))
+	$(call step,tests without torch,.venv/service-test/bin/python $(SIDE_BY_SIDE) $(or $(TORCH_FREE_TESTS),tests/service) $(PYTEST_ARGS))
 	$(call step,clients of the protocol,.venv/peers/bin/python -m pytest $(PROTOCOL_TESTS) $(PYTEST_ARGS))
+	@[ -x .venv/service-3.13/bin/python ] || echo 'rollcast: NOT TESTED: the service on Python 3.13, which is not installed' >&2
 	@echo 'rollcast: every check and test passed'
 
 wheels:

@@ -7,6 +7,7 @@
 # nothing when the environment is up to date. Environment variables:
 #
 #   PYTHON              interpreter; default: python3.11, otherwise python3
+#   PYTHON_3_13         required: fail if there is no Python 3.13 for service-3.13
 #   SIMULATION          auto: install the service without PyBullet where PyBullet has no wheel
 #   TORCH_INSTALL_ARGS  additional pip arguments for torch, such as the index of the CPU builds
 #
@@ -58,6 +59,8 @@ find_python_3_13() {
     version=3.13
     "$uv" python install --quiet --no-bin 3.13 2>/dev/null &&
         PYTHON=$("$uv" python find --no-project --system 3.13) && return
+    [ "${PYTHON_3_13:-}" != required ] ||
+        fail "Python 3.13 is not installed and cannot be downloaded, and PYTHON_3_13=required"
     say "Python 3.13 is not installed and cannot be downloaded; its tests are skipped"
     exit 0
 }

@@ -26,7 +26,7 @@ ASKED = body(horizon=3)
 
 @pytest.fixture(scope="module")
 def service() -> Iterator[Service]:
-    with Service(PROCESSES) as running:
+    with Service(PROCESSES, only=MODEL) as running:
         yield running
 
 
@@ -108,7 +108,7 @@ def test_a_stop_is_heard_at_any_moment_of_the_start():
 
 
 def test_no_worker_outlives_its_supervisor():
-    with Service(PROCESSES) as service:
+    with Service(PROCESSES, only=MODEL) as service:
         workers = service.workers()
         service.process.send_signal(signal.SIGKILL)
         service.popen.communicate(timeout=60)

@@ -64,7 +64,7 @@ def test_a_killed_worker_is_replaced_and_has_the_models_of_the_others():
 
 
 def test_a_worker_that_ends_before_it_served_is_replaced_beside_one_that_serves():
-    with Service(2, wait=False) as service:
+    with Service(2, wait=False, only=MODEL) as service:
 
         def started() -> list[psutil.Process]:
             children = service.process.children()
@@ -84,7 +84,8 @@ def test_a_worker_that_ends_before_it_served_is_replaced_beside_one_that_serves(
 
 
 def test_a_stopped_worker_is_noticed_and_replaced():
-    with Service(2) as service:
+    with Service(2, only=MODEL) as service, ExitStack() as stack:
+        connect_to_each(service, stack)  # a worker that has not yet served has two minutes
         stopped = service.workers()[0]
         stopped.send_signal(signal.SIGSTOP)
         wait_for(lambda: not stopped.is_running(), REPLACED_S)
@@ -96,14 +97,14 @@ def test_a_stopped_worker_is_noticed_and_replaced():
 
 @pytest.mark.parametrize("stopped", [1, 2])
 def test_sigterm_ends_a_service_whose_workers_are_stopped(stopped):
-    with Service(2) as service:
+    with Service(2, only=MODEL) as service:
         for worker in service.workers()[:stopped]:
             worker.send_signal(signal.SIGSTOP)
         service.stop()
 
 
 def test_sigterm_ends_a_service_whose_worker_stopped_while_it_started():
-    with Service(2, wait=False) as service:
+    with Service(2, wait=False, only=MODEL) as service:
         wait_for(lambda: bool(service.workers()))
         service.workers()[0].send_signal(signal.SIGSTOP)
         service.stop()
@@ -111,7 +112,10 @@ def test_sigterm_ends_a_service_whose_worker_stopped_while_it_started():
 
 def test_a_second_signal_ends_the_wait_for_answers():
     with Service(
-        2, ROLLCAST_SHUTDOWN_DELAY_S="60", ROLLCAST_GRACEFUL_SHUTDOWN_TIMEOUT_S="60"
+        2,
+        only=MODEL,
+        ROLLCAST_SHUTDOWN_DELAY_S="60",
+        ROLLCAST_GRACEFUL_SHUTDOWN_TIMEOUT_S="60",
     ) as service:
         begun = time.monotonic()
         service.popen.terminate()
@@ -124,7 +128,7 @@ def test_a_second_signal_ends_the_wait_for_answers():
 
 @pytest.mark.parametrize("processes", [1, 2])
 def test_requests_with_long_names_cost_a_short_answer(processes):
-    with Service(processes) as service:
+    with Service(processes, only=MODEL) as service:
         workers = service.workers()
         names = [chr(ord("a") + index % 26) * LONG_NAME for index in range(60)]
 

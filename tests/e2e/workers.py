@@ -1,6 +1,7 @@
 """A real service of one or several processes, its workers, its log and its metrics."""
 
 import re
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -13,7 +14,7 @@ import psutil
 
 from rollcast.client import Client
 from tests.bench.harness import answering
-from tests.e2e.conftest import start_service, wait_until_ready
+from tests.e2e.conftest import ROOT, start_service, wait_until_ready
 
 MODEL = "posnet"
 STOP_TIMEOUT_S = 4
@@ -33,12 +34,20 @@ class Service:
         Whether to wait for its models.
     prefix
         A command that runs the service.
+    only
+        The model that it has, which starts sooner; None for all committed models.
     settings
         Variables of the service's environment.
     """
 
     def __init__(
-        self, processes: int, *, wait: bool = True, prefix: Sequence[str] = (), **settings: str
+        self,
+        processes: int,
+        *,
+        wait: bool = True,
+        prefix: Sequence[str] = (),
+        only: str | None = None,
+        **settings: str,
     ) -> None:
         self._folder = tempfile.TemporaryDirectory()
         self._log = Path(self._folder.name) / "log"
@@ -46,6 +55,10 @@ class Service:
             "ROLLCAST_PROCESSES": str(processes),
             "ROLLCAST_GRACEFUL_SHUTDOWN_TIMEOUT_S": str(STOP_TIMEOUT_S),
         }
+        if only is not None:
+            models = Path(self._folder.name) / "models"
+            shutil.copytree(ROOT / "models" / only, models / only)
+            variables["ROLLCAST_MODELS_DIR"] = str(models)
         with self._log.open("a") as log:
             self.popen, self.address = start_service(log, prefix=prefix, **variables | settings)
         self.process = psutil.Process(self.popen.pid)

@@ -3,6 +3,7 @@
 Both cost more than everything else that a training window takes.
 """
 
+import uuid
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -54,6 +55,7 @@ def _cache_shard(shard: Path) -> None:
         np.stack([resting_ground(scene) for scene in scenes]).astype(np.float16),
     )  # fmt: skip
     for file, array in zip(_files(shard), made, strict=True):
-        unfinished = file.with_suffix(".tmp.npy")
+        # Two commands may cache the same shard at once.
+        unfinished = file.with_suffix(f".{uuid.uuid4().hex}.npy")
         np.save(unfinished, array)
         unfinished.rename(file)

@@ -5,9 +5,11 @@ it (:mod:`training.reporting.markdown`, :mod:`training.reporting.plots`).
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -32,6 +34,11 @@ LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))
 
 MODELS = "models"
 """The table of the committed models."""
+
+SetsOf: TypeAlias = Callable[
+    [tuple[Scenario, ...], int, int | None], Sequence[EvaluationSet[Scenario]]
+]
+"""Gives the test sets of some scenarios, a number of balls and a final step."""
 
 
 @dataclass(frozen=True)
@@ -185,23 +192,24 @@ def committed(models: Path) -> list[Path]:
     )
 
 
-def measure(models: Sequence[Path], scenes: int, workers: int) -> Results:
-    """Measure models, and the baselines beside them, on the first scenes of the test split."""
+def sets_of_test_split(scenes: int, workers: int) -> SetsOf:
+    """Return a function that simulates (or loads) and renders the first test scenes once a kind."""
+    return cache(partial(evaluation_sets, split="test", scenes=scenes, workers=workers))
+
+
+def measure(models: Sequence[Path], sets_of: SetsOf) -> Results:
+    """Measure models, and the baselines beside them."""
     cells: list[Measurement] = []
     curves: list[Curve] = []
-    known: dict[tuple[tuple[Scenario, ...], int, int | None], list[EvaluationSet[Scenario]]] = {}
+    baselines: dict[tuple[Scenario, int], EvaluationSet[Scenario]] = {}
     for folder in models:
         manifest, predictor = load_exported(folder)
-        kind = (manifest.simulated, manifest.objects, manifest.final_step)
-        if kind not in known:
-            known[kind] = evaluation_sets(*kind, "test", scenes, workers)
-        forecasts = with_covariance(run(predictor, known[kind]), manifest.covariance)
+        sets = sets_of(manifest.simulated, manifest.objects, manifest.final_step)
+        baselines |= {(part.scenario, manifest.objects): part for part in sets}
+        forecasts = with_covariance(run(predictor, sets), manifest.covariance)
         made = [_measure_model(manifest, scenario, f) for scenario, f in forecasts.items()]
         cells += [cell for of_scenario, _ in made for cell in of_scenario]
         curves += [curve for _, curve in made]
-    baselines = {
-        (part.scenario, objects): part for (_, objects, _), sets in known.items() for part in sets
-    }
     for (_, objects), part in baselines.items():
         for made in _measure_baselines(part, objects):
             cells += made[0]

@@ -6,15 +6,14 @@ from itertools import groupby
 from pathlib import Path
 
 from rollcast.manifest import MANIFEST_FILE, Manifest
-from training.data.shards import SHARD_SCENES
 from training.data.windows import Window
-from training.evaluation.evaluate import evaluation_sets, run
+from training.evaluation.evaluate import run
 from training.export.export import with_covariance
 from training.export.load import load_exported
 from training.objectives.metrics import Forecasts
 from training.reporting import plots
 from training.reporting.markdown import page, picture_name
-from training.reporting.results import Results, committed, measure
+from training.reporting.results import Results, SetsOf, committed, measure, sets_of_test_split
 from training.studies import tables
 from training.studies.study import Study
 
@@ -27,7 +26,8 @@ STEPS_BETWEEN_ELLIPSES = 5
 def publish(models: Path, docs: Path, scenes: int, workers: int) -> Results:
     """Write ``docs/results.md`` with ``docs/results/``: figures and pictures."""
     folders = committed(models)
-    results = measure(folders, scenes, workers)
+    sets_of = sets_of_test_split(scenes, workers)
+    results = measure(folders, sets_of)
     folder = docs / "results"
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / RESULTS
@@ -38,7 +38,7 @@ def publish(models: Path, docs: Path, scenes: int, workers: int) -> Results:
         plots.draw_errors(list(curves), folder / picture_name(scenario, objects))
     plots.draw_calibration(results.curves, folder / "calibration.png")
     plots.draw_ellipses(
-        _examples(folders, workers), STEPS_BETWEEN_ELLIPSES, folder / "ellipses.png"
+        _examples(folders, sets_of), STEPS_BETWEEN_ELLIPSES, folder / "ellipses.png"
     )
     return results
 
@@ -62,16 +62,14 @@ def publish_study(study: Study, docs: Path) -> None:
             plots.draw_errors(in_order, folder / tables.curves_name(study, case))
 
 
-def _examples(folders: Sequence[Path], workers: int) -> list[tuple[str, Window, Forecasts]]:
+def _examples(folders: Sequence[Path], sets_of: SetsOf) -> list[tuple[str, Window, Forecasts]]:
     """First test scene of every scenario, forecast by the models that predict covariances."""
     examples: list[tuple[str, Window, Forecasts]] = []
     for folder in folders:
         if Manifest.read(folder / MANIFEST_FILE).covariance.source != "predicted":
             continue
         manifest, predictor = load_exported(folder)
-        sets = evaluation_sets(
-            manifest.simulated, manifest.objects, manifest.final_step, "test", SHARD_SCENES, workers
-        )
+        sets = sets_of(manifest.simulated, manifest.objects, manifest.final_step)
         first = [replace(part, windows=part.windows[:1]) for part in sets]
         forecasts = with_covariance(run(predictor, first), manifest.covariance)
         examples += [

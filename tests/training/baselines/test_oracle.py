@@ -7,6 +7,7 @@ from rollcast.camera import camera_for
 from rollcast.simulation.recording import TEST_START
 from rollcast.simulation.sampling import draw_scene, scene_generator
 from rollcast.surfaces import HEIGHTFIELD_HALF_WIDTH_M
+from tests.training.conftest import HEMISPHERE, SCENES
 from training.baselines.oracle import Oracle
 from training.data.shards import Source, load_recordings, simulate_split
 
@@ -28,7 +29,7 @@ def truth_of(recording):
 
 @pytest.mark.parametrize(("scenario", "objects"), [("hemisphere", 1), ("ellipsoid", 2)])
 def test_from_the_true_state_it_repeats_the_truth(runs, oracle, scenario, objects):
-    shards = simulate_split(Source(scenario, objects), "validation", 50, workers=2)
+    shards = simulate_split(Source(scenario, objects), "validation", SCENES, workers=2)
     for recording in load_recordings(shards)[:4]:
         positions, window = truth_of(recording)
         path = oracle.from_truth(recording.scene, TEST_START[scenario], HORIZON)
@@ -38,7 +39,7 @@ def test_from_the_true_state_it_repeats_the_truth(runs, oracle, scenario, object
 
 
 def test_noise_costs_what_it_hides(runs, oracle):
-    recordings = load_recordings(simulate_split(Source("hemisphere"), "validation", 50, workers=2))
+    recordings = load_recordings(simulate_split(HEMISPHERE, "validation", SCENES, workers=2))
     errors = {0.0: [], 0.25: [], 1.0: []}
     for recording in recordings[:8]:
         positions, _ = truth_of(recording)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from rollcast.simulation.recording import TEST_START
+from tests.training.conftest import SCENES
 from training.baselines.states import VELOCITY_UNIT, StateSet, turned
 from training.data.shards import Source, load_recordings, simulate_split
 from training.data.windows import Symmetry, Window, WindowMaker
@@ -15,7 +16,7 @@ HORIZON = 20
 
 @pytest.fixture(scope="module")
 def recordings(runs):
-    return load_recordings(simulate_split(Source("ellipsoid"), "validation", 50, workers=2))[:6]
+    return load_recordings(simulate_split(Source("ellipsoid"), "validation", SCENES, workers=2))[:6]
 
 
 @pytest.fixture(scope="module")

@@ -24,6 +24,15 @@ COMMANDS = {
 }  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Folder of runs with no scene of other tests: commands have whole shards to make."""
+    folder = tmp_path_factory.mktemp("runs")
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("ROLLCAST_RUNS", str(folder))
+        yield folder
+
+
 def test_help_names_every_command_and_nothing_of_libraries():
     ran = subprocess.run(
         [sys.executable, "-m", "training", "--help"], capture_output=True, text=True, check=True
@@ -98,7 +107,7 @@ def test_a_dry_run_states_the_speed_and_keeps_nothing(runs):
 
 
 def test_ctrl_c_says_how_to_go_on(runs):
-    command = [sys.executable, "-m", "training", "train", "tiny", "--scenes", "50"]
+    command = [sys.executable, "-m", "training", "train", "tiny", "--scenes", "10"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     events = runs / "tiny" / "events"
     deadline = time.monotonic() + 1200

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from rollcast.simulation.appearance import CameraPose, draw_camera
+from tests.training.conftest import SCENES
 from training.data.ball_batch import MOST_BALLS, collate
 from training.data.ball_windows import (
     BallAppearanceMixture,
@@ -16,12 +17,12 @@ from training.data.ball_windows import (
 from training.data.painting.camera import unposed_points
 from training.data.painting.restyled import visible_pose
 from training.data.scene_cache import load_scene_cache
-from training.data.shards import SHARD_SCENES, Source, load_recordings, simulate_split
+from training.data.shards import Source, load_recordings, simulate_split
 
 
 @pytest.fixture(scope="module")
 def maker(runs) -> BallWindowMaker:
-    shards = simulate_split(Source("hemisphere"), "training", SHARD_SCENES, 1)
+    shards = simulate_split(Source("hemisphere"), "training", SCENES, 1)
     return BallWindowMaker(load_recordings(shards), load_scene_cache(shards, 1))
 
 

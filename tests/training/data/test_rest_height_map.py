@@ -8,9 +8,10 @@ from rollcast.simulation import Simulator
 from rollcast.simulation.rendering import Renderer
 from rollcast.surfaces import surface_of
 from tests.rollcast.simulation.lab import turned
+from tests.training.conftest import SCENES
 from training.data.rest_height_map import MAP_CELLS, resting_ground
 from training.data.scene_cache import SceneCache, load_scene_cache
-from training.data.shards import SHARD_SCENES, Recording, Source, load_recordings, simulate_split
+from training.data.shards import Recording, Source, load_recordings, simulate_split
 from training.data.windows import Symmetry, WindowMaker
 
 
@@ -100,9 +101,9 @@ def test_balls_move_along_the_ground_in_every_view(simulator, quarter_turns, mir
 
 
 def test_a_survey_is_kept_beside_its_shards(runs):
-    shards = simulate_split(Source("hemisphere"), "validation", SHARD_SCENES, workers=1)
+    shards = simulate_split(Source("hemisphere"), "validation", SCENES, workers=1)
     first = load_scene_cache(shards, workers=1)
-    assert first.ground.shape == (SHARD_SCENES, 3, MAP_CELLS, MAP_CELLS)
+    assert first.ground.shape == (SCENES, 3, MAP_CELLS, MAP_CELLS)
     kept = [shards[0].with_suffix(f".{name}.npy") for name in SceneCache._fields]
     before = [file.stat().st_mtime_ns for file in kept]
     for one, other in zip(load_scene_cache(shards, workers=1), first, strict=True):
@@ -112,7 +113,7 @@ def test_a_survey_is_kept_beside_its_shards(runs):
 
 def test_frames_over_a_survey_are_those_without(runs):
     """Where nothing moves they are the same; edges and shadows may be off by a level."""
-    shards = simulate_split(Source("hemisphere"), "validation", SHARD_SCENES, workers=1)
+    shards = simulate_split(Source("hemisphere"), "validation", SCENES, workers=1)
     recordings = load_recordings(shards)
     cached = (
         WindowMaker(recordings, None, load_scene_cache(shards, workers=1)).window(3, 40, 2).frames

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from tests.training.conftest import SCENES
 from training.data.ball_windows import BallSource, BallWindowMaker
 from training.data.scene_cache import load_scene_cache
-from training.data.shards import SHARD_SCENES, Source, load_recordings, simulate_split
+from training.data.shards import Source, load_recordings, simulate_split
 from training.engine.encounter_trainer import EncounterTraining, train_encounters
 from training.export.load import any_ball_from
 from training.networks.fieldnet import Ball
@@ -17,7 +18,7 @@ MODELS = Path(__file__).parents[3] / "models"
 
 @pytest.fixture(scope="module")
 def source(runs) -> BallSource:
-    shards = simulate_split(Source("ellipsoid", 2), "training", SHARD_SCENES, 1)
+    shards = simulate_split(Source("ellipsoid", 2), "training", SCENES, 1)
     maker = BallWindowMaker(load_recordings(shards), load_scene_cache(shards, 1))
     return BallSource(maker, 1.0, 100)
 

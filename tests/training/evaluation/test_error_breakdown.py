@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from training.data.shards import SHARD_SCENES, Source
+from tests.training.conftest import SCENES
+from training.data.shards import Source
 from training.evaluation.error_breakdown import SUBSTITUTES, breakdown_of, breakdown_table
 from training.networks.fieldnet import FieldNet
 from training.networks.task import Task
@@ -14,7 +15,7 @@ from training.networks.task import Task
 def errors(runs):
     torch.manual_seed(6)
     network = FieldNet(Task()).eval()
-    return breakdown_of(network, Source("hemisphere"), SHARD_SCENES, workers=1)
+    return breakdown_of(network, Source("hemisphere"), SCENES, workers=1)
 
 
 def test_true_parts_take_their_error_away(errors):

@@ -5,7 +5,7 @@ import pytest
 
 from rollcast.client import Client
 from rollcast.client.testing import FakeService
-from training.data.shards import SHARD_SCENES
+from tests.training.conftest import SCENES
 from training.evaluation import frame_rates
 from training.evaluation.frame_rates import RATES, measure, results_table
 
@@ -17,14 +17,14 @@ def test_every_rate_is_told_and_covers_half_a_second(monkeypatch):
     monkeypatch.setattr(frame_rates, "RATES", rates)
     service = FakeService()
     with Client(transport=service) as client:
-        measured = list(measure(client, ("hemisphere",), SHARD_SCENES, 1, "auto"))
+        measured = list(measure(client, ("hemisphere",), SCENES, 1, "auto"))
     assert [rate for rate, _ in measured] == list(rates)
-    assert all(len(errors) == SHARD_SCENES for _, by in measured for errors in by.values())
+    assert all(len(errors) == SCENES for _, by in measured for errors in by.values())
     told = [
         (float(request.fields["frame_rate"]), int(request.fields["horizon"]))
         for request in service.requests
     ]
-    assert [rate for rate, _ in told] == [rate for rate in rates for _ in range(SHARD_SCENES)]
+    assert [rate for rate, _ in told] == [rate for rate in rates for _ in range(SCENES)]
     for rate, horizon in told:
         assert 0.5 <= (horizon - 1) / rate < 0.5 + 1 / rate
 

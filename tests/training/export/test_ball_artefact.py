@@ -15,7 +15,7 @@ from service.app import create_app
 from service.serving.loading import load_registry
 from service.settings import Settings
 from tests.service.conftest import wait_until_ready
-from training.data.shards import SHARD_SCENES
+from tests.training.conftest import SCENES
 from training.evaluation.any_ball import TorchFinder
 from training.evaluation.evaluate import evaluation_sets
 from training.export.ball_artefact import TrainedBalls, export_balls
@@ -35,7 +35,7 @@ def network() -> AnyBallNet:
 @pytest.fixture(scope="module")
 def models(runs, network, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("models")
-    (part,) = evaluation_sets(("hemisphere",), 1, None, "validation", SHARD_SCENES, 1)
+    (part,) = evaluation_sets(("hemisphere",), 1, None, "validation", SCENES, 1)
     sets = {1: [replace(part, windows=part.windows[:5], line=part.line[:5])]}
     trained = TrainedBalls("balls", network, 10, HORIZON, {"hemisphere-1": 5}, seed=1)
     export_balls(trained, folder / "balls" / "1", 1, sets, sets, 0.2)

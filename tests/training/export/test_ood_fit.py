@@ -7,9 +7,9 @@ import pytest
 
 from rollcast.manifest import MANIFEST_FILE, OOD_FILE, PERCEPTION_FILE, Manifest
 from rollcast.ood import frame_stats
-from tests.training.conftest import HEMISPHERE
+from tests.training.conftest import HEMISPHERE, SCENES
 from tests.training.export.test_export import ROOT
-from training.data.shards import SHARD_SCENES, load_recordings, simulate_split
+from training.data.shards import load_recordings, simulate_split
 from training.data.windows import WindowMaker
 from training.export import ood_fit
 from training.export.export import hashes
@@ -28,8 +28,7 @@ from training.export.ood_fit import (
 def known(runs):
     """Frame statistics of hemispheres: those to fit to, and others."""
     return [
-        source_frame_stats(HEMISPHERE, split, SHARD_SCENES, 1)
-        for split in ("training", "validation")
+        source_frame_stats(HEMISPHERE, split, SCENES, 1) for split in ("training", "validation")
     ]
 
 
@@ -52,7 +51,7 @@ def test_the_threshold_leaves_the_wanted_share_above_it(ood_detector, known):
 
 def test_other_pictures_are_out_of_distribution(ood_detector, known, runs):
     threshold = calibrate_threshold(ood_detector, *known[::-1]).threshold
-    recordings = load_recordings(simulate_split(HEMISPHERE, "validation", SHARD_SCENES, 1))
+    recordings = load_recordings(simulate_split(HEMISPHERE, "validation", SCENES, 1))
     frames = WindowMaker(recordings, final_step=None).window(0, 80, 1).frames
     noise = np.random.default_rng(0).normal(0, 40, frames.shape)
     others = {
@@ -80,8 +79,10 @@ def test_an_artefact_keeps_it(ood_detector, known, tmp_path):
 
 
 def test_balls_are_lost_where_their_place_is_less_certain_than_in_known_scenes(
-    runs, tmp_path, monkeypatch
+    tmp_path, monkeypatch
 ):
+    # Fewer scenes than the other tests', so not in their folder.
+    monkeypatch.setenv("ROLLCAST_RUNS", str(tmp_path / "runs"))
     monkeypatch.setattr(ood_fit, "_sources", lambda *_: [HEMISPHERE])
     folder = shutil.copytree(ROOT / "models" / "fieldnet" / "1", tmp_path / "fieldnet" / "1")
     posnet = shutil.copytree(ROOT / "models" / "posnet" / "1", tmp_path / "posnet" / "1")

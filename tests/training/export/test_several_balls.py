@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from rollcast.manifest import MANIFEST_FILE, Manifest
-from tests.training.conftest import tiny
-from training.data.shards import SHARD_SCENES, Source
+from tests.training.conftest import SCENES, tiny
+from training.data.shards import Source
 from training.engine.loop import TrainerConfig
 from training.engine.trainer import Trainer
 from training.engine.warm_start import Initial
@@ -21,7 +21,7 @@ from training.recipes.field import field_several_balls, field_several_balls_inte
 from training.recipes.recipe import DataShare, Recipe
 
 MODELS = Path(__file__).parents[3] / "models"
-FINAL_STEP = 15
+FINAL_STEP = 3
 PACE = TrainerConfig(validate_every=2, checkpoint_seconds=1e9, workers=0)
 
 
@@ -30,7 +30,7 @@ def two_balls(runs) -> Recipe:
     base = several_balls_interpolation(2)
     # The encoder's graph holds every step until the final one, and takes as long to export.
     base = replace(base, task=replace(base.task, final_step=FINAL_STEP))
-    data = (DataShare(Source("ellipsoid", 2), SHARD_SCENES, share=1, latest_start=100),)
+    data = (DataShare(Source("ellipsoid", 2), SCENES, share=1, latest_start=100),)
     return replace(tiny(base), data=data, scenarios=base.scenarios, sequences=8)
 
 
@@ -47,7 +47,7 @@ def exported(two_balls, posnet, tmp_path_factory) -> Path:
     """Folder of the models that a few batches gave."""
     folder = tmp_path_factory.mktemp("two-balls")
     Trainer(two_balls, folder, PACE, [posnet]).run()
-    export_run(two_balls, folder, folder, 1, SHARD_SCENES, workers=1)
+    export_run(two_balls, folder, folder, 1, SCENES, workers=1)
     return folder / "interpnet-2" / "1"
 
 
@@ -88,10 +88,10 @@ def test_two_balls_with_an_explicit_state_go_all_the_way(make, runs, tmp_path):
     base = make(2)
     if base.task.final_step is not None:
         base = replace(base, task=replace(base.task, final_step=FINAL_STEP))
-    data = (DataShare(Source("ellipsoid", 2), SHARD_SCENES, share=1, latest_start=100),)
+    data = (DataShare(Source("ellipsoid", 2), SCENES, share=1, latest_start=100),)
     recipe = replace(tiny(base), data=data, scenarios=base.scenarios, sequences=8)
     Trainer(recipe, tmp_path, PACE, [read_initial(MODELS / "fieldnet-2" / "1")]).run()
-    export_run(recipe, tmp_path, tmp_path, 1, SHARD_SCENES, workers=1)
+    export_run(recipe, tmp_path, tmp_path, 1, SCENES, workers=1)
     manifest, network = load_exported(tmp_path / base.members[0].name / "1")
     assert (manifest.objects, manifest.final_step) == (2, base.task.final_step)
     assert manifest.covariance.source == "predicted"

@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tests.training.conftest import tiny
-from training.data.shards import SHARD_SCENES
+from tests.training.conftest import SCENES, tiny
 from training.engine.loop import TrainerConfig
 from training.engine.trainer import Trainer
 from training.engine.warm_start import Initial, load_fitting
@@ -138,7 +137,7 @@ def test_it_goes_all_the_way(runs, tmp_path, base):
         recipe = replace(recipe, task=Task(final_step=3))
     taught = Initial("fieldnet", unsettled_field_net().state_dict(), 100)
     Trainer(recipe, tmp_path, PACE, [taught]).run()
-    export_run(recipe, tmp_path, tmp_path, 1, SHARD_SCENES, workers=1)
+    export_run(recipe, tmp_path, tmp_path, 1, SCENES, workers=1)
     manifest, network = load_exported(tmp_path / recipe.members[0].name / "1")
     assert (manifest.preset, manifest.frames) == ("perception_init", recipe.task.frames)
     assert manifest.training["sequences"] == 116

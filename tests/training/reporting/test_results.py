@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from tests.training.conftest import SCENES
 from training.evaluation.paper import angular_speed_rad_s, published
 from training.reporting.markdown import page
 from training.reporting.results import Results, disagreements
@@ -14,17 +15,11 @@ from training.studies.publish import publish
 MODELS = Path(__file__).parents[3] / "models"
 
 
-SCENES = 15
-"""Of every kind; fewer than a shard has, so they are kept in a folder of their own."""
-
-
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def made(runs, tmp_path_factory):
     """Results of every committed model, and the folder that they were published in."""
     folder = tmp_path_factory.mktemp("docs")
-    with pytest.MonkeyPatch.context() as environment:
-        environment.setenv("ROLLCAST_RUNS", str(tmp_path_factory.mktemp("runs")))
-        return publish(MODELS, folder, SCENES, workers=2), folder
+    return publish(MODELS, folder, SCENES, workers=2), folder
 
 
 def test_results_are_read_back_as_they_were_written(made):

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from training.data.shards import SHARD_SCENES
+from tests.training.conftest import SCENES
 from training.evaluation.paper import CELLS, published
 from training.recipes.compact import ONE_BALL_DATA
 from training.reporting.plots import _style, draw_errors, draw_group
@@ -52,7 +52,7 @@ def measured(runs, tmp_path_factory):
     file = docs / "results" / "results.json"
     Results((), ()).write(file)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("training.studies.state_rows.VALIDATION_SCENES", SHARD_SCENES)
+        patch.setattr("training.studies.state_rows.VALIDATION_SCENES", SCENES)
         patch.setattr(BenchmarkCase, "data", property(_few_scenes))
         efforts = [
             StudyBudget(2, 100),
@@ -63,7 +63,7 @@ def measured(runs, tmp_path_factory):
         ]
         rows: list[list[str]] = [["linear extrapolation"], [], [], [], []]
         done = [
-            list(SMALL.run(file, SHARD_SCENES, budget, methods))
+            list(SMALL.run(file, SCENES, budget, methods))
             for budget, methods in zip(efforts, rows, strict=True)
         ]
     return docs, done
@@ -71,7 +71,7 @@ def measured(runs, tmp_path_factory):
 
 def _few_scenes(case: BenchmarkCase):
     whole = next(part for part in ONE_BALL_DATA if part.source == case.source)
-    return replace(whole, scenes=SHARD_SCENES)
+    return replace(whole, scenes=SCENES)
 
 
 def test_a_row_is_measured_again_only_with_more_training(measured):
@@ -150,7 +150,7 @@ def test_bars_stand_side_by_side_in_the_order_of_the_table():
 def test_a_row_that_is_not_there_is_named(measured):
     docs, _ = measured
     with pytest.raises(ValueError, match=r"no row .'nobody'.; its rows: constant position, linear"):
-        list(SMALL.run(docs / "results" / "results.json", SHARD_SCENES, StudyBudget(), ["nobody"]))
+        list(SMALL.run(docs / "results" / "results.json", SCENES, StudyBudget(), ["nobody"]))
 
 
 def _cell(method: str, error: float) -> Measurement:
@@ -212,7 +212,7 @@ def test_an_error_may_be_asked_to_stay_below_a_multiple():
 
 
 def test_a_row_that_has_learned_nothing_errs_like_the_middle(runs):
-    test = FixedScenes(BenchmarkCase("hemisphere"), "test", SHARD_SCENES, 2)
+    test = FixedScenes(BenchmarkCase("hemisphere"), "test", SCENES, 2)
     errors = middle_of_frame().measure(test, StudyBudget()).forecasts.errors_px()
     centres = test.states.positions[:, :, 3:].numpy()
     np.testing.assert_allclose(errors, 64 * np.linalg.norm(centres, axis=-1), atol=1e-3)
