@@ -67,7 +67,7 @@ def test_a_pose_is_undone():
 def test_points_go_where_the_picture_goes():
     at = np.array([80.0, 50.0])
     beyond = np.zeros((128, 128, 3), np.uint8)
-    (moved,) = posed_frames(a_spot(at)[None], POSE, beyond, mirrored=False)
+    (moved,) = posed_frames(a_spot(at)[None], POSE, beyond, "plain")
     np.testing.assert_allclose(spot(moved), posed_points(at, POSE), atol=0.15)
 
 
