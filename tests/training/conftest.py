@@ -13,7 +13,7 @@ HEMISPHERE = Source("hemisphere")
 SCENES = 12
 """Of every split, in every test that uses the fixture ``runs``: a shard that one test has made is
 read by all others."""
-PRACTICE = 8
+TRUE_STATE_WINDOWS = 8
 """Windows from true states beside every batch."""
 
 
@@ -41,7 +41,9 @@ def recipe(runs) -> Recipe:
 def tiny(recipe: Recipe) -> Recipe:
     explicit = recipe.explicit
     if explicit is not None:
-        explicit = replace(explicit, practice=min(explicit.practice, PRACTICE))
+        explicit = replace(
+            explicit, true_state_windows=min(explicit.true_state_windows, TRUE_STATE_WINDOWS)
+        )
     return replace(
         recipe,
         data=(DataShare(HEMISPHERE, SCENES, share=1, latest_start=100),),
