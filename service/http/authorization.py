@@ -7,7 +7,7 @@ from starlette.requests import HTTPConnection
 
 from service.auth.api_keys import ApiKeyStore, Key, Scope
 from service.errors import ForbiddenError, OriginError, UnauthorizedError
-from service.http.problem_details import PROTOCOL_PATH
+from service.http.oip.schemas import PROTOCOL_PATH
 from service.state import ServiceState
 
 OPEN_PATHS = frozenset(

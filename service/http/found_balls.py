@@ -66,10 +66,14 @@ class RequestBalls:
         source = model.manifest.kinematic
         assert source is not None
         self._level_slope = source.level_slope
-        self._level_steps = math.ceil(LEVEL_STEPS / spacing)
         # Changes of velocity are random: their variances add up.
         self._acceleration_ratio = source.acceleration_ratio * math.sqrt(spacing)
-        self._kinematic = self._path(steps)
+        level_steps = math.ceil(LEVEL_STEPS / spacing)
+        path = self._path(np.concatenate([np.arange(level_steps), steps]))
+        self._level_path = path.positions[:, :level_steps]
+        self._kinematic = KinematicForecast(
+            path.positions[:, level_steps:], path.covariances[:, level_steps:]
+        )
 
     @property
     def count(self) -> int:
@@ -95,7 +99,7 @@ class RequestBalls:
         )
 
     def _path(self, steps: Float[np.ndarray, " T"]) -> KinematicForecast:
-        """Balls that go on as they went, at times in frames after the last one."""
+        """Return the kinematic forecast at times in frames after the last one."""
         balls = self.found.balls
         places, sigmas = HALF + HALF * balls.places, HALF * np.exp(balls.log_sigmas)
         return kinematic_forecast(places, sigmas, self._acceleration_ratio, steps)
@@ -103,8 +107,7 @@ class RequestBalls:
     @property
     def on_level_ground(self) -> list[bool]:
         """True for balls whose kinematic path lies on level ground, according to the model."""
-        paths = self._path(np.arange(self._level_steps)).positions / HALF - 1
-        slopes = mean_slopes(self.found.said["ground"][0], paths)
+        slopes = mean_slopes(self.found.said["ground"][0], self._level_path / HALF - 1)
         return (slopes < self._level_slope).tolist()
 
     @property

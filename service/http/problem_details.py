@@ -30,13 +30,11 @@ from service.errors import (
     TooManyRequestsError,
     UnauthorizedError,
 )
-from service.http.oip.schemas import InferError
+from service.http.oip.schemas import PROTOCOL_PATH, InferError
 from service.http.security_headers import ALWAYS, NOTHING_RUNS, POLICY
 from service.observability.log_config import REQUEST_ID_HEADER, request_id
 
 MEDIA_TYPE = "application/problem+json"
-PROTOCOL_PATH = "/v2"
-"""Root of the Open Inference Protocol."""
 PASSING = (
     QueueFullError,
     NotReadyError,

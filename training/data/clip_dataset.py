@@ -12,7 +12,7 @@ Clips that it does not name are for training; without it, clips are split by the
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -20,10 +20,8 @@ from typing import Annotated, NamedTuple
 
 import cv2
 import numpy as np
-import torch
 from jaxtyping import Float, UInt8
 from pydantic import BaseModel, ConfigDict, Field
-from torch.utils.data import IterableDataset
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.clip import open_clip
@@ -36,6 +34,7 @@ from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.common.distributed import Share
 from training.common.settings import runs_folder
 from training.data.rest_height_map import MAP_CELLS
+from training.data.seeded_stream import SeededStream
 from training.data.splits import Split
 from training.data.windows import Batch, SceneTargets, Symmetry, Window, collate
 
@@ -156,11 +155,8 @@ class Clips:
         return clip.positions[self._balls, place.start : place.start + frames]
 
 
-class ClipStream(IterableDataset[Batch]):
-    """Endless batches of windows, turned and mirrored; batch k depends on the seed and k alone.
-
-    The same interface as :class:`training.data.windows.TrainingStream`.
-    """
+class ClipStream(SeededStream[Batch]):
+    """Endless batches of windows of clips, turned and mirrored."""
 
     def __init__(
         self,
@@ -173,6 +169,7 @@ class ClipStream(IterableDataset[Batch]):
         scene_targets: bool = False,
         share: Share | None = None,
     ) -> None:
+        super().__init__(seed, first_batch)
         self._clips = clips
         self._horizon = horizon
         self._places = clips.places(horizon)
@@ -181,31 +178,22 @@ class ClipStream(IterableDataset[Batch]):
                 f"no clip shows all balls for {FIRST_FORECAST_FRAME + horizon} frames on end"
             )
         self._batch_size = batch_size
-        self._seed = seed
-        self._first_batch = first_batch
         self._scene_targets = scene_targets
         self._share = share or Share()
 
-    def __iter__(self) -> Iterator[Batch]:
-        """Batches from ``first_batch`` on."""
-        worker = torch.utils.data.get_worker_info()
-        first, stride = (0, 1) if worker is None else (worker.id, worker.num_workers)
-        number = self._first_batch + first
-        while True:
-            generator = np.random.default_rng([self._seed, number])
-            rows = generator.integers(len(self._places), size=self._batch_size)
-            turns = generator.integers(4, size=self._batch_size)
-            mirrors = generator.integers(2, size=self._batch_size)
-            lights = 1 + LIGHT * generator.standard_normal((self._batch_size, 3))
-            yield collate(
-                [
-                    Symmetry(int(turns[row]), bool(mirrors[row])).apply(
-                        _in_other_light(self._window(rows[row]), lights[row])
-                    )
-                    for row in self._share.of(self._batch_size)
-                ]
-            )
-            number += stride
+    def _batch(self, generator: np.random.Generator, number: int) -> Batch:  # noqa: ARG002 - the base's
+        rows = generator.integers(len(self._places), size=self._batch_size)
+        turns = generator.integers(4, size=self._batch_size)
+        mirrors = generator.integers(2, size=self._batch_size)
+        lights = 1 + LIGHT * generator.standard_normal((self._batch_size, 3))
+        return collate(
+            [
+                Symmetry(int(turns[row]), bool(mirrors[row])).apply(
+                    _in_other_light(self._window(rows[row]), lights[row])
+                )
+                for row in self._share.of(self._batch_size)
+            ]
+        )
 
     def _window(self, row: int) -> Window:
         return self._clips.window(

@@ -4,14 +4,13 @@ Training draws scenes, start times and symmetries for ever from a seeded generat
 test take every scene once at its scenario's fixed start (paper, section 3.1, simulation details).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, NotRequired, Protocol, TypedDict
 
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
-from torch.utils.data import IterableDataset
 
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.simulation.recording import TEST_START
@@ -19,6 +18,7 @@ from rollcast.simulation.rendering import Renderer
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.common.distributed import Share
 from training.data.scene_cache import SceneCache
+from training.data.seeded_stream import SeededStream
 from training.data.shards import STORED_FRAMES, Recording
 from training.networks.perception import measures_of
 from training.networks.recurrent import InitialState
@@ -254,8 +254,8 @@ class _Drawn(NamedTuple):
     look: Look | None
 
 
-class TrainingStream(IterableDataset[Batch]):
-    """Endless batches. Batch k depends on the seed and on k alone, so training can resume anywhere.
+class TrainingStream(SeededStream[Batch]):
+    """Endless batches of windows of stored simulations.
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ class TrainingStream(IterableDataset[Batch]):
     share
         The rows of every batch that are made.
     mixture
-        What the windows look like; None for the paper's look alone.
+        Appearance of the windows; None for the paper's only.
     """
 
     def __init__(
@@ -300,6 +300,7 @@ class TrainingStream(IterableDataset[Batch]):
             raise ValueError(
                 f"latest_start is {max(latest_starts)}; at most {LAST_START} is stored"
             )
+        super().__init__(seed, first_batch)
         self._makers = [
             WindowMaker(group, final_step, scene_cache, scene_targets=scene_targets)
             for group, scene_cache in zip(groups, scene_caches, strict=True)
@@ -310,22 +311,10 @@ class TrainingStream(IterableDataset[Batch]):
         self._shares = np.asarray(shares) / np.sum(shares)
         self._latest_starts = latest_starts
         self._batch_size = batch_size
-        self._seed = seed
-        self._first_batch = first_batch
         self._share = share or Share()
         self._mixture = mixture
 
-    def __iter__(self) -> Iterator[Batch]:
-        """Batches from ``first_batch`` on; several loader processes share them out in turn."""
-        worker = torch.utils.data.get_worker_info()
-        first, stride = (0, 1) if worker is None else (worker.id, worker.num_workers)
-        number = self._first_batch + first
-        while True:
-            generator = np.random.default_rng([self._seed, number])
-            yield self._batch(generator)
-            number += stride
-
-    def _batch(self, generator: np.random.Generator) -> Batch:
+    def _batch(self, generator: np.random.Generator, number: int) -> Batch:  # noqa: ARG002 - the base's
         batch = collate(self._windows(generator, self._batch_size, seen=self._seen))
         if self._practice:
             batch["practice"] = collate(self._windows(generator, self._practice, seen=False))

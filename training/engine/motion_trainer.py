@@ -16,6 +16,7 @@ from torch import Tensor
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.data.ball_batch import BallBatch
 from training.engine.ball_trainer import VISIBLE
+from training.engine.cosine_descent import cosine_descent
 from training.networks.any_ball import AnyBallNet, Seen, seen_balls
 from training.networks.ball_detector import PIXEL, BallMaps, voted
 from training.networks.blocks import PIXEL_UNIT
@@ -159,29 +160,25 @@ def train_motion(
             motion.append(parameter)
         elif parameter.requires_grad:
             states.append(parameter)
-    parameters = [*states, *motion]
-    learned = [
-        {"params": states, "lr": training.state_rate},
-        {"params": motion, "lr": training.motion_rate},
-    ]
-    rates = [group["lr"] for group in learned]
-    optimiser = torch.optim.AdamW(learned, weight_decay=1e-3)
     counts = list(readings)
     shares = np.array([len(readings[count].radii) for count in counts], float)
-    for number in range(training.batches):
-        generator = np.random.default_rng([training.seed, number])
-        progress = number / training.batches
-        for group, rate in zip(optimiser.param_groups, rates, strict=True):
-            group["lr"] = rate * 0.5 * (1 + np.cos(np.pi * progress))
+
+    def loss_at(generator: np.random.Generator, progress: float) -> Tensor:
         some = readings[counts[generator.choice(len(counts), p=shares / shares.sum())]]
         index = torch.from_numpy(generator.integers(len(some.radii), size=training.batch_size))
         horizon = int(np.interp(progress, (0, 0.5), (4, training.horizon)))
-        loss = trajectory_loss(network, some.taken(index), horizon, training.halving)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        if torch.isfinite(torch.nn.utils.clip_grad_norm_(parameters, 0.5)):
-            optimiser.step()
-        yield loss.item()
+        return trajectory_loss(network, some.taken(index), horizon, training.halving)
+
+    yield from cosine_descent(
+        loss_at,
+        [
+            {"params": states, "lr": training.state_rate},
+            {"params": motion, "lr": training.motion_rate},
+        ],
+        batches=training.batches,
+        weight_decay=1e-3,
+        seed=training.seed,
+    )
 
 
 def trajectory_loss(

@@ -6,6 +6,8 @@ from pydantic import Field
 
 from rollcast.schemas import Flag, Integer, RequestBody, ResponseBody
 
+PROTOCOL_PATH = "/v2"
+"""Root of the protocol's routes."""
 MAX_ITEMS = 8
 """Inputs, outputs or axes that are looked at; no model has as many."""
 

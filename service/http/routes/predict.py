@@ -20,14 +20,8 @@ from service.http.request_body import (
     parser_of,
     received,
 )
-from service.inference.deadlines import (
-    CLIENT_CLOSED_REQUEST,
-    CancellationToken,
-    ClientGoneError,
-    answered,
-    streamed,
-    timeout_s,
-)
+from service.http.timeout import CLIENT_CLOSED_REQUEST, timeout_s
+from service.inference.deadlines import CancellationToken, ClientGoneError, answered, streamed
 from service.inference.scheduler import Job
 from service.state import ServiceState, State
 
