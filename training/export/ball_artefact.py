@@ -29,6 +29,7 @@ from training.evaluation.any_ball import TorchFinder, forecast_sets
 from training.evaluation.evaluate import EvaluationSet, markdown_table, metric_rows
 from training.export.any_ball import OUTPUTS, STATE_NAMES, BallGraphs, write_ball_graphs
 from training.export.export import evaluate, hashes, proved, with_covariance
+from training.export.model_card import ARCHITECTURES
 from training.export.spec import LICENCE
 from training.export.weight_rounding import round_weights
 from training.networks.any_ball import AnyBallNet
@@ -217,8 +218,11 @@ def _card(
 FieldNet for 1 to {MAX_BALLS} balls, which point prompts may select. A detector finds the balls in
 the frames at 128 x 128 pixels, and a refiner reads patches that are cut from the frames at their
 full size. The motion was trained on rollouts of {trained.horizon} steps at {FRAME_RATE_HZ:g} Hz,
-from frames of {rates}, whose rate the model is told.
+from frames of {rates}; the frame rate is an input of the model.
 
+- Architecture: {ARCHITECTURES["field"]}, after a detector and a
+  patch refiner. Supervision: positions, visibility, radii, angular velocities, ground maps,
+  heights, 3-D velocities.
 - Trained on {trained.sequences:,} windows of simulated scenes ({sources}), as they are and with
   random appearances, and of planar scenes with up to {MAX_BALLS} balls.
 - Uncertainty: predicted by the network, times a scale per step fitted on validation scenes.
@@ -229,8 +233,8 @@ from frames of {rates}, whose rate the model is told.
 ## Measured
 
 Errors are in pixels of 128 x 128 frames, the mean over test scenes from the fixed test start. The
-model receives no prompts and no number of balls: the balls that most surely move are compared with
-the true balls nearest to them at t = 0. T is the horizon, so the error is that of step T - 1.
+model receives no prompts and no number of balls: the balls with the highest confidence of motion are
+compared with the true balls nearest to them at t = 0. T is the horizon, so the error is that of step T - 1.
 
 ### 1 ball, test
 

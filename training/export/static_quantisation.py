@@ -32,6 +32,7 @@ from training.common.settings import keep_runtime_silent
 from training.data.windows import collate, compared_horizon
 from training.evaluation.evaluate import EvaluationSet, evaluation_sets, markdown_table
 from training.export.export import EvaluationSummary, evaluate, hashes
+from training.export.model_card import ARCHITECTURES
 from training.export.onnx_graphs import Graphs, drop_traces
 from training.export.weight_rounding import store_in_bytes
 from training.objectives.metrics import Forecasts, beside_truth
@@ -228,6 +229,9 @@ def _card(float32: Manifest, version: int, comparison: str, summary: EvaluationS
 Measured on {VALIDATION_SCENES} validation scenes per scenario, on one thread of a processor with
 8-bit dot product instructions; without them the speed-up is smaller. The training, the limits and
 the licence in the card of {float32.label} apply to this version too.
+
+- Architecture: {ARCHITECTURES[float32.preset]},
+  with 8-bit convolutions in its perception. Supervision: none; {float32.label} was quantised.
 
 ## Measured
 
