@@ -26,20 +26,20 @@ from rollcast.scene import COLORS, MAX_BALLS, MAX_FORECAST_OBJECTS, BallColor, D
 from rollcast.trajectory import OBSERVED_FRAMES
 
 EYE_FILE = "eye.onnx"
-"""Of networks with an eye: what it reads of the frames. Equal files are loaded once."""
+"""Perception graph of networks that have one. Equal files are loaded once."""
 ENCODER_FILE = "encoder.onnx"
 STEP_FILE = "step.onnx"
 MANIFEST_FILE = "manifest.json"
 CARD_FILE = "MODEL_CARD.md"
 GOLDEN_FILE = "golden.npz"
 FAMILIARITY_FILE = "familiarity.npz"
-"""What the training frames look like (``rollcast.ood``); not every artefact has it."""
+"""Statistics of the training frames (``rollcast.ood``); optional."""
 DETECTOR_FILE, REFINER_FILE = "detector.onnx", "refiner.onnx"
-"""Of networks for any number of balls: whole frames to candidates, and patches around them."""
+"""Graphs of networks for any number of balls: detector of whole frames, refiner of patches."""
 HASHED_FILES = (ENCODER_FILE, STEP_FILE, CARD_FILE, GOLDEN_FILE)
-"""Those that every artefact has."""
+"""Files of every artefact."""
 BALL_FILES = (DETECTOR_FILE, REFINER_FILE, *HASHED_FILES)
-"""Those of an artefact for any number of balls."""
+"""Files of an artefact for any number of balls."""
 
 FRAMES_INPUT = "frames"
 """Input of the first graph, uint8 [B, frames, 128, 128, 3]; also the golden frames' name."""
@@ -48,13 +48,12 @@ PATCHES_INPUT = "patches"
 DETECTOR_OUTPUTS = ("places", "radii", "scores", "moving", "votes", "ground", "scene")
 REFINER_OUTPUTS = ("offsets", "log_radius", "visible", "log_sigmas", "features")
 BALL_INPUTS = ("places", "radii", "log_sigmas", "features")
-"""What the encoder's graph reads of every ball, [B, N, ...], and of the whole frames:"""
+"""Inputs of the encoder's graph for every ball, [B, N, ...]."""
 SCENE_INPUTS = ("ground", "scene")
 SPACING_INPUT = "spacing"
-"""Time between two seen frames [B], in steps of the rollout, which the encoder's graph reads too.
-"""
+"""Input of the encoder's graph: time between two observed frames [B], in steps of the rollout."""
 NEXT_PREFIX = "next_"
-"""The step graph reads the state as NAME and returns it as next_NAME."""
+"""Prefix of the state's outputs: the step graph reads the state NAME and returns next_NAME."""
 
 
 def _known(name: OutputName) -> OutputName:
@@ -78,7 +77,7 @@ class StateTensor(_Part):
 
     name: Annotated[str, Field(min_length=1)]
     shape: tuple[int, ...]
-    """Without the batch axis."""
+    """Shape without the batch axis."""
     dtype: Literal["float32"] = "float32"
 
 
@@ -87,7 +86,7 @@ class Output(_Part):
 
     name: KnownOutput
     shape: tuple[int, ...]
-    """Without the batch axis: [objects, ...]."""
+    """Shape without the batch axis: [objects, ...]."""
     unit: str
 
 
@@ -103,14 +102,15 @@ class CovarianceSource(_Part):
     """Source of the forecast's covariances (px^2)."""
 
     source: Literal["predicted", "empirical"]
-    """``predicted``: an output of the network. ``empirical``: residuals on validation data."""
+    """Kind: ``predicted`` by the network, or ``empirical``, from residuals on validation data."""
     variance_scale: tuple[Positive, ...] | None = None
-    """Predicted: factor on the covariance of each step, the last one held beyond."""
+    """Factors on predicted covariances by step; the last one holds for all later steps."""
     empirical: tuple[Matrix2, ...] | None = None
-    """Empirical: covariance of the residuals at each step, the last one held beyond."""
+    """Covariances of the residuals by step; the last one holds for all later steps."""
     ellipse50_radius: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
-    """Radius, in standard deviations, of the ellipse that held half of the validation data at each
-    step, the last one held beyond; None is a Gaussian's. Residuals with heavy tails need less."""
+    """Radii by step, in standard deviations, of the ellipse that contains half of the validation
+    data; the last one holds for all later steps, None is a Gaussian's. Residuals with heavy tails
+    have smaller radii."""
 
     @model_validator(mode="after")
     def _source_and_values_agree(self) -> "CovarianceSource":
@@ -129,13 +129,13 @@ class MetricRow(_Part):
     split: Literal["validation", "test"]
     scenario: Domain
     horizon: Annotated[int, Field(ge=1)]
-    """The error is that of step ``horizon - 1``."""
+    """Number of steps; the error is that of step ``horizon - 1``."""
     sequences: Annotated[int, Field(ge=1)]
     position_error_px: float
     """Mean distance between forecast and truth."""
     standard_error_px: float | None = None
     angular_velocity_rmse: float | None = None
-    """rad/s."""
+    """Root mean square error in rad/s."""
     nll_nats: Annotated[
         float | None, Field(validation_alias=AliasChoices("nll_nats", "perplexity"))
     ] = None
@@ -150,30 +150,30 @@ class MetricRow(_Part):
 
 
 class Parity(_Part):
-    """Proof that the exported graphs compute what torch computes."""
+    """Comparison of the outputs of the exported graphs with those of torch."""
 
     max_abs_error: dict[KnownOutput, float]
-    """Over batch sizes and horizons, in each output's own unit."""
+    """Maximum over batch sizes and horizons, in each output's own unit."""
     tolerance: dict[KnownOutput, float]
 
 
 class Unfamiliar(_Part):
-    """When frames look unlike those of the training (``rollcast.ood``)."""
+    """Threshold of the out-of-distribution score of frames (``rollcast.ood``)."""
 
     threshold: Positive
-    """Score above which they do."""
+    """Score above which frames are out of distribution."""
     false_alarm_rate: Annotated[float, Field(ge=0, le=1)]
-    """Share of the test split's windows above it, which look as the training's do."""
+    """Share of the in-distribution windows of the test split above the threshold."""
     test_windows: Annotated[int, Field(ge=1)]
 
 
 class PlaceUncertainty(_Part):
-    """Standard deviation of a ball's place at t = 0 that tells lost balls (decision 0145)."""
+    """Threshold of the standard deviation of a ball's position at t = 0 (decision 0145)."""
 
     threshold_px: Positive
     """Value above which a ball counts as lost, pixels of 128."""
     false_alarm_rate: Annotated[float, Field(ge=0, le=1)]
-    """Share of the test split's windows above it, in which no ball is hidden."""
+    """Share of the test split's windows without hidden balls above the threshold."""
     test_windows: Annotated[int, Field(ge=1)]
 
 
@@ -181,9 +181,9 @@ class CameraSetup(_Part):
     """The set-up whose footage a model was trained on."""
 
     colors: tuple[BallColor, ...]
-    """Of each ball, in the order of the tracks."""
+    """Color of each ball, in the order of the tracks."""
     crop: tuple[int, int, Annotated[int, Field(ge=1)]]
-    """x, y and size of the square of the camera's pictures that frames show, pixels."""
+    """Square of the camera's pictures that frames show: x, y and side in pixels."""
 
 
 class KinematicSource(_Part):
@@ -192,27 +192,27 @@ class KinematicSource(_Part):
     acceleration_ratio: Annotated[float, Field(ge=0)]
     """Standard deviation of the change of velocity per step, relative to the speed."""
     level_slope: Annotated[float, Field(ge=0)]
-    """Mean slope of the ground under a ball's path up to which "auto" answers with the kinematic
-    forecast; 0 answers with the network's always."""
+    """Maximum mean slope of the ground under a ball's path for which "auto" returns the kinematic
+    forecast; with 0 it always returns the forecast of the network."""
 
 
 class Manifest(_Part):
-    """Everything there is to know about one version of one model."""
+    """Description of one version of one model."""
 
     format_version: Literal[1, 2]
-    """2 for models that follow any number of balls up to ``max_objects``."""
+    """Format: 2 for models that follow any number of balls up to ``max_objects``."""
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,63}$")]
     version: Annotated[int, Field(ge=1)]
     default: bool
-    """A bare NAME means the version that is marked as default."""
+    """Mark of the version that a name without version selects."""
     variant: Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
     preset: str
     scenarios: Annotated[tuple[Domain, ...], Field(min_length=1)]
     objects: Annotated[int, Field(ge=1, le=MAX_FORECAST_OBJECTS)]
-    """Balls that it follows; where that is free, those that it follows unless it is told more."""
+    """Number of balls; if variable, the number without prompts."""
     max_objects: Annotated[int, Field(ge=1, le=MAX_BALLS)] | None = None
-    """Most balls that it follows; None where the number is fixed. In its state and outputs the
-    second axis is free then."""
+    """Maximum number of balls; None if the number is fixed. A variable number makes the second axis
+    of state and outputs dynamic."""
     observed_frames: Literal[4]
     frames: Literal[4, 5]
     """Frames that the encoder reads: the observed ones and, with 5, the final one."""
@@ -229,25 +229,25 @@ class Manifest(_Part):
     covariance: CovarianceSource
     angular_velocity: bool
     training: dict[str, JsonValue]
-    """Data seed and sizes, sequences seen, configuration: free form, for people."""
+    """Data seed and sizes, number of sequences, configuration, in free form for readers."""
     metrics: tuple[MetricRow, ...]
     validation_error_px: Annotated[float, Field(ge=0)]
     """Mean position error over all scenarios, validation split, at T = 20 for one ball and T = 15
-    for several, whatever the trained horizon: "auto" compares this number alone."""
+    for several, independent of the trained horizon: "auto" compares only this number."""
     parity: Parity
     golden_tolerance: dict[KnownOutput, Positive]
     """Largest absolute difference from golden.npz at which the model is served."""
     setup: CameraSetup | None = None
-    """Of models for footage, and of them alone."""
+    """Camera set-up of models for footage; None for all others."""
     random_appearances: bool = False
     """Training on frames of random appearance: "auto" uses such a model where the frames are out of
     distribution for the model that it would choose."""
     kinematic: KinematicSource | None = None
-    """Of models for any number of balls."""
+    """Kinematic forecasts of models for any number of balls; None for others."""
     place_uncertainty: PlaceUncertainty | None = None
-    """Of models that predict covariances, for a fixed number of balls."""
+    """Detection of lost balls, in models for a fixed number of balls that predict covariances."""
     unfamiliar: Unfamiliar | None = None
-    """None without FAMILIARITY_FILE: such a model cannot tell."""
+    """Out-of-distribution threshold; None without the statistics of the training frames."""
     files: dict[str, Sha256]
     licence: str
 

@@ -3,8 +3,8 @@
 Frames are summarised in about forty numbers: their 8 x 8 thumbnail in the
 principal components of the training frames, how much of it those leave unexplained, how fine its
 texture is, and how much changes from frame to frame. The score is the Mahalanobis distance of these
-numbers from the nearest kind of scenes in the training, relative to what is usual there (decision
-0120). ``training.export.ood_fit`` fits it; the service warns with it.
+numbers from the nearest kind of scenes in the training, relative to the usual distances there
+(decision 0120). ``training.export.ood_fit`` fits it; the service warns with it.
 """
 
 from dataclasses import asdict, dataclass
@@ -36,7 +36,7 @@ class FrameStats:
     """Logarithms: how much neighbouring pixels of the last frame differ, by colour; how much each
     frame differs from the next; which share of the picture changes from the first to the last."""
     largest_change: float
-    """Between the first and the last frame, of areas of SHRINK x SHRINK pixels; 0..255."""
+    """Largest change of an area of SHRINK x SHRINK pixels from first to last frame, 0..255."""
 
     @property
     def is_still(self) -> bool:

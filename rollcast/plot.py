@@ -154,9 +154,9 @@ def draw_moment(
     forecast
         In pixels of the frame.
     title
-        What stands in the corner.
+        Text in the corner.
     rings
-        Where the balls were seen in this frame; by default nothing is drawn there.
+        Positions of the balls in this frame; by default no rings are drawn.
 
     Returns
     -------

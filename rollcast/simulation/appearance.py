@@ -1,9 +1,9 @@
-"""How a window looks apart from the trajectory: balls, ground, light, clutter, camera, sensor.
+"""Appearance of a window: balls, ground, light, clutter, camera and sensor.
 
-A :class:`Appearance` stands beside a :class:`rollcast.scene.Scene`: the scene says what moves and
-how, the appearance what it looks like. Trajectories are expensive and reused, appearances are cheap
-and drawn anew for every training window. All randomness comes from the generator that is passed in;
-what is too fine to be listed (grain, texts, the places of spots) follows from the seeds in here.
+An :class:`Appearance` complements a :class:`rollcast.scene.Scene`, which describes the motion.
+Trajectories are expensive and reused; appearances are cheap and drawn anew for every training
+window. All randomness comes from the generator that is passed in; fine details (grain, texts,
+positions of spots) follow from the seeds in the appearance.
 
 Colours are RGB in 0..1, lengths are pixels of a 128-px frame unless a name says otherwise.
 """

@@ -8,7 +8,7 @@ from jaxtyping import Float, Float32, UInt8
 COLOURED = 0.85
 """Part of the radius within which colours are a ball's own."""
 BINS = (4, 16, 16)
-"""Of lightness and of the two colour axes of CIE Lab."""
+"""Number of bins of lightness and of the two colour axes of CIE Lab."""
 BIN_WIDTHS = (64, 16, 16)
 COLOURS = BINS[0] * BINS[1] * BINS[2]
 

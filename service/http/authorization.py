@@ -50,7 +50,7 @@ async def check_access(request: HTTPConnection, service: ServiceState) -> None:
     TooManyRequestsError
         If the client exceeds its rate limit.
     """
-    # The route's own path: what a proxy puts before it does not matter.
+    # The route's own path, without the prefix of a proxy.
     scope = scope_for(request.scope["route"].path)
     if scope is None:
         return

@@ -43,9 +43,9 @@ PASSING = (
     TooManyBodiesError,
     OutOfMemoryError,
 )
-"""Rejections that end by themselves; they carry a Retry-After header."""
+"""Temporary errors, whose responses have a Retry-After header."""
 RETRY_AFTER_S = 1
-"""Seconds in that header, the least that it can say: a forecast takes a fraction of that."""
+"""Seconds in that header, its minimum; a forecast takes a fraction of that."""
 LONGEST_VALUE = 100
 """Characters of a wrong value that are sent back."""
 LONGEST_DETAIL = 600
@@ -129,7 +129,7 @@ async def _answer(request: Request, error: Exception) -> Response:
             headers.update(error.headers or {})
         case _:
             problem = _problem(error)
-            # What adds these to every other answer is not asked when a route fails.
+            # The middleware that adds these headers does not see responses to unhandled errors.
             headers |= ALWAYS | {POLICY: NOTHING_RUNS}
             if (failed := request_id()) is not None:
                 headers[REQUEST_ID_HEADER] = failed

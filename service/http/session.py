@@ -99,7 +99,7 @@ class Session:
 
     async def run(self) -> None:
         """Answer until the client leaves or the service drains."""
-        # A client that has gone is no failure: nobody is there to be answered.
+        # A disconnected client is no error: there is no response to send.
         with self._service.session(), suppress(WebSocketDisconnect):
             try:
                 if await self._open():

@@ -27,7 +27,7 @@ class Predictor(Protocol):
 
     manifest: Manifest
     familiarity: Familiarity | None
-    """What its training frames look like; None when it cannot tell."""
+    """Statistics of the training frames; None for models without them."""
 
     def encode(
         self, frames: UInt8[np.ndarray, "B K 128 128 3"], *, two_cores: bool = False

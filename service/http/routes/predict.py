@@ -57,9 +57,9 @@ async def answer_frames(
     Parameters
     ----------
     model
-        What the body describes.
+        Model of the body.
     job_of
-        Makes the job, whose answer is JSON, from the parser of the body.
+        Factory of the job, whose result is JSON, from the parser of the body.
     """
     service.require_serving()
     kind = media_type(request, (JSON, MULTIPART))
@@ -103,7 +103,7 @@ async def predict_stream(request: Request, service: ServiceState) -> Response:
     async with received(request) as body:
         parse = parser_of(PredictRequest, kind, body, request)
         events = streamed(request, timeout_s(request, service.settings), submit)
-        # What is refused before the first step is refused as by /predict.
+        # Errors before the first step become problem documents, as those of /predict.
         first = await anext(events, None)
     return EventSourceResponse(_lines(first, events))
 
