@@ -1,4 +1,4 @@
-"""Where training keeps what must not enter the repository. The only reader of its environment."""
+"""Folders of data sets and checkpoints outside the repository, from the environment."""
 
 import os
 from pathlib import Path

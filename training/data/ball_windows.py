@@ -33,12 +33,12 @@ from training.networks.perception import measures_of
 HALF = NETWORK_FRAME_SIZE / 2
 STEPS = FIRST_FORECAST_FRAME + MAX_HORIZON
 REMEMBERED = 2000
-"""Windows that are kept to be seen again, 200 kB each."""
+"""Number of windows in memory for repetition, 200 kB each."""
 LEAST_WAY_PX = 0.3
-"""Way over the seen frames from which on a ball moves."""
+"""Minimum displacement of a moving ball over the observed frames."""
 
 VALIDATION_SEED = 2**31
-"""Of validation windows; training seeds are small."""
+"""Seed of validation windows; training seeds are small."""
 
 Kind = Literal["paper", "filmed", "restyled", "planar"]
 KINDS: tuple[Kind, ...] = ("paper", "filmed", "restyled", "planar")
@@ -46,7 +46,7 @@ KINDS: tuple[Kind, ...] = ("paper", "filmed", "restyled", "planar")
 
 @dataclass(frozen=True)
 class BallLooks:
-    """Shares of what training windows show.
+    """Shares of the kinds of training windows.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class BallLooks:
 
 
 class BallWindowMaker:
-    """Makes windows of stored simulations with what is known of every ball.
+    """Maker of windows of stored simulations with the true states of every ball.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ class BallWindowMaker:
 
 
 def posed(window: BallWindow, pose: CameraPose, radius_m: float) -> BallWindow:
-    """Transform a window's truth as a camera sees it; what it cannot know becomes NaN."""
+    """Transform a window's truth to a camera pose; unknown values become NaN."""
 
     def moved(points: np.ndarray) -> np.ndarray:
         return (posed_points(HALF + HALF * points, pose) - HALF) / HALF
@@ -359,7 +359,7 @@ class BallStream(SeededStream[BallBatch]):
         return collate([self._turned(index, generator) for index in self._chosen(number)])
 
     def _chosen(self, number: int) -> list[int]:
-        """Numbers of a batch's windows: those that are new, and some of those before."""
+        """Return the numbers of the windows of a batch: new ones and repeated ones."""
         first = number * self._fresh
         fresh = range(first, first + self._fresh)
         generator = np.random.default_rng([self._seed, number, 1])

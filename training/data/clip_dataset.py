@@ -42,7 +42,7 @@ SETUP_FILE = "setup.json"
 READER = 2
 """Version of how clips are read; frames that an older one kept are read again."""
 UNSEEN: Mapping[Split, float] = {"validation": 0.15, "test": 0.15}
-"""Shares of the clips that training does not see, where nobody says which."""
+"""Shares of the clips in other splits than training, unless ``setup.json`` assigns them."""
 EVERY = 5
 """Frames between the windows of a clip that figures are of."""
 LIGHT = 0.05
@@ -55,7 +55,7 @@ MISSED_FRAME = 1.5
 
 
 class Setup(BaseModel):
-    """What ``setup.json`` says."""
+    """Content of ``setup.json``."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -81,9 +81,9 @@ class Clip:
     missed: np.ndarray
     frame_rate: float
     crop: SquareCrop
-    """What the frames show of the camera's pictures."""
+    """Crop of the camera's pictures in the frames."""
     colors: tuple[str, ...]
-    """Of each ball."""
+    """Color of each ball."""
 
 
 class Place(NamedTuple):
@@ -313,8 +313,8 @@ def _clip(path: Path, crop: SquareCrop | None, name: str) -> Clip:
 def _source(tracks: Path, size: tuple[int, int]) -> Path:
     """Return the clip that tracks lie beside: a folder of images, or a video by its content.
 
-    Of several videos of one name (cameras write small copies) it is the one whose pictures are as
-    large as those that were tracked.
+    Of several videos of one name (cameras write small copies) it is the one with the
+    size of the tracked pictures.
     """
     folder = tracks.with_suffix("")
     if folder.is_dir():
@@ -385,7 +385,7 @@ def _in_other_light(window: Window, factors: Float[np.ndarray, "3"]) -> Window:
 
 
 def _scene_targets(positions: Float[np.ndarray, "balls frames 2"]) -> SceneTargets:
-    """Return what tracks tell of the scene: centres as seen from above; NaN where unknown."""
+    """Return the scene targets of tracks: centres in the image; unknown values are NaN."""
     heights = np.full((*positions.shape[:2], 1), np.nan)
     centres = np.concatenate([positions * (2 / NETWORK_FRAME_SIZE) - 1, heights], axis=-1)
     unknown = np.full((3, MAP_CELLS, MAP_CELLS), np.nan)

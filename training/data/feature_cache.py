@@ -1,4 +1,4 @@
-"""What a taught eye reads of training windows, kept: seen once, replayed as often as one likes."""
+"""Cache of the outputs of a trained perception for training windows."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +19,7 @@ TRUTH = ("positions", "angular_velocities")
 def read_windows(
     family: PerceptionFamily, stream: Iterator[Batch], windows: int, path: Path
 ) -> None:
-    """Write what a family's eye reads of so many windows, and their truth.
+    """Write the perception outputs of a number of windows, with their true states.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ from training.networks.perception import measures_of
 from training.networks.recurrent import InitialState
 
 MAX_HORIZON = 40
-"""Longest forecast that training or evaluation asks of a stored simulation (T_gen)."""
+"""Longest forecast of training and evaluation on stored simulations (T_gen)."""
 
 
 def generated_horizon(objects: int) -> int:
@@ -44,7 +44,7 @@ LAST_START = STORED_FRAMES - FIRST_FORECAST_FRAME - MAX_HORIZON
 
 
 class SceneTargets(NamedTuple):
-    """What a network with an explicit state learns to read besides.
+    """Additional targets of networks with an explicit state.
 
     Halves of the frame in image axes (x right, y down, z towards the camera).
     """
@@ -52,27 +52,27 @@ class SceneTargets(NamedTuple):
     centres: Float[np.ndarray, "objects frames 3"]
     """Ball centres from the first observed frame to the last step."""
     ground: Float[np.ndarray, "3 cells cells"]
-    """See :func:`training.data.rest_height_map.resting_ground`."""
+    """Map of :func:`training.data.rest_height_map.resting_ground`."""
     measures: Float[np.ndarray, "2"]
-    """See :func:`training.networks.perception.measures_of`."""
+    """Constants of :func:`training.networks.perception.measures_of`."""
 
 
 class Guidance(NamedTuple):
-    """What windows of many appearances have besides (:class:`training.data.looks.Looks`)."""
+    """Additional data of windows of random appearance (:class:`training.data.looks.Looks`)."""
 
     prompts: Float[np.ndarray, "objects 2"]
-    """Rough places of the balls that are meant, in the last seen frame; NaN without a prompt."""
+    """Prompts near the balls in the last observed frame; NaN without a prompt."""
     shake: Float[np.ndarray, "seen 2"]
     """Shift of the picture in every seen frame against the last one, pixels."""
     radii: Float[np.ndarray, " objects"]
-    """Of the balls as they are seen, pixels."""
+    """Radii of the balls in the frames, pixels."""
 
 
 class Window(NamedTuple):
     """One sequence: the seen frames and the truth of the steps t = 0..T-1 (128-px units, rad/s)."""
 
     frames: UInt8[np.ndarray, "seen 128 128 3"]
-    """Empty where nothing is to be seen."""
+    """Frames; empty for windows without frames."""
     positions: Float[np.ndarray, "objects steps 2"]
     angular_velocities: Float[np.ndarray, "objects steps 3"]
     scene_targets: SceneTargets | None = None
@@ -92,7 +92,7 @@ class Batch(TypedDict):
     practice: NotRequired["Batch"]
     """More windows without frames."""
     initial_state: NotRequired[InitialState]
-    """What was read of the frames, in their place."""
+    """Cached initial states in place of frames."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ class WindowMaker:
         return self._recordings[index]
 
     def renderer(self, index: int) -> Renderer:
-        """Return what renders a scene."""
+        """Return the renderer of a scene."""
         if index not in self._renderers:
             scene = self._recordings[index].scene
             camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
@@ -225,13 +225,13 @@ class Look(NamedTuple):
     """How one training window looks."""
 
     kind: Literal["paper", "restyled", "planar"]
-    """The paper's look, another look of its scenes, or a planar scene instead of the scene."""
+    """Appearance: the paper's, another one of its scenes, or a planar scene."""
     prompted: bool
     seed: int
 
 
 class Mixture(Protocol):
-    """What training windows look like."""
+    """Mixture of appearances of training windows."""
 
     def draw(self, generator: np.random.Generator) -> Look:
         """Draw the look of a window."""
@@ -321,7 +321,7 @@ class TrainingStream(SeededStream[Batch]):
         return batch
 
     def _windows(self, generator: np.random.Generator, rows: int, *, seen: bool) -> list[Window]:
-        # All are drawn, whoever makes them: the batch is the same for any number of shares.
+        # Every process draws all rows, so the batch is the same for any number of processes.
         drawn = [self._draw(generator) for _ in range(rows)]
         return [self._window(drawn[row], seen=seen) for row in self._share.of(rows)]
 

@@ -1,8 +1,8 @@
-"""Trains the states at t = 0 and the motion of any number of balls by whole trajectories.
+"""Training of the initial state and of the motion of :class:`AnyBallNet` on whole trajectories.
 
-The perception is frozen, and what it reads of each window is computed once. A loss at t = 0 weighs
-all errors of a velocity alike; along a trajectory those count that lead away from it, and the
-motion learns from states as the perception measures them.
+The perception is frozen, and its outputs are computed once per window. A loss at t = 0 weights all
+errors of a velocity alike; a loss along the trajectory weights them by their effect on it, and the
+motion is trained on states as the perception measures them.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -39,32 +39,32 @@ LIKELIHOOD_WEIGHT = 0.2
 
 
 class BallReadings(NamedTuple):
-    """What the perception reads of W windows of N balls, and their truth."""
+    """Outputs of the perception for W windows of N balls, with their true states."""
 
     places: Tensor
-    """[W, N, K, 2] in the seen frames."""
+    """Positions [W, N, K, 2] in the observed frames."""
     radii: Tensor
-    """[W, N]."""
+    """Radii [W, N]."""
     visible: Tensor
-    """[W, N, K] logits."""
+    """Logits [W, N, K] of visibility."""
     log_sigmas: Tensor
-    """[W, N, 2]."""
+    """Logarithms [W, N, 2] of the standard deviations."""
     features: Tensor
-    """[W, N, FEATURES]."""
+    """Features [W, N, FEATURES] of the refiner."""
     ground: Tensor
-    """[W, 3, G, G]."""
+    """Ground maps [W, 3, G, G]."""
     scene: Tensor
-    """[W, 2]."""
+    """Scene constants [W, 2]."""
     spacing: Tensor
-    """[W] time between two seen frames, in steps of the forecast."""
+    """Time [W] between two observed frames, in steps of the forecast."""
     centres: Tensor
-    """[W, N, S, 3] true ones, from t = -3 on, a step apart; NaN where they are not known."""
+    """True centres [W, N, S, 3] from t = -3 on, one step apart; unknown ones are NaN."""
     spins: Tensor
-    """[W, N, T, 3] true ones from t = 0 on, rad/s; NaN where they are not known."""
+    """True angular velocities [W, N, T, 3] in rad/s from t = 0 on; unknown ones are NaN."""
 
     @property
     def seen(self) -> Seen:
-        """What is seen of the balls."""
+        """Outputs of the perception for the balls."""
         return seen_balls(self.places, self.radii, self.visible, self.log_sigmas, self.features)
 
     def taken(self, index: Tensor) -> "BallReadings":
@@ -184,7 +184,7 @@ def train_motion(
 def trajectory_loss(
     network: AnyBallNet, readings: BallReadings, horizon: int, halving: float
 ) -> Tensor:
-    """Loss of trajectories that begin with what was read, in pixels; what is not known is free."""
+    """Loss in pixels of trajectories from the outputs of the perception; NaN has no loss."""
     seen = readings.seen
     state, balls = network.begin(seen, readings.ground, readings.scene, readings.spacing)
     steps = network.rolling.trajectory(state, horizon)

@@ -43,7 +43,7 @@ PROVED_STEPS = 5
 golden values prove one ball up to the trained horizon."""
 
 LEVEL_SLOPE = 0.02
-"""Between the slopes that are read under tables and under bowls, see decision 0142."""
+"""Slope between those estimated on tables and in bowls, see decision 0142."""
 
 Sets = Mapping[int, Sequence[EvaluationSet[Scenario]]]
 """Evaluation sets by their number of balls."""
@@ -51,7 +51,7 @@ Sets = Mapping[int, Sequence[EvaluationSet[Scenario]]]
 
 @dataclass(frozen=True)
 class TrainedBalls:
-    """The trained network, with what is said of it."""
+    """Trained network with its metadata."""
 
     name: str
     network: AnyBallNet
@@ -72,7 +72,7 @@ def export_balls(
     test: Sets,
     acceleration_ratio: float,
 ) -> Manifest:
-    """Write ``models/NAME/VERSION`` and prove that it computes what torch does.
+    """Write ``models/NAME/VERSION`` and verify that its outputs equal those of torch.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def _rows(
 def _write_golden(
     finder: TorchFinder, frames: Sequence[np.ndarray], horizon: int, folder: Path
 ) -> None:
-    """Keep what torch makes of windows without prompts: one ball, that which most surely moves."""
+    """Write the golden values of torch for windows without prompts, one ball each."""
     rows: list[dict[str, np.ndarray]] = []
     for window in frames:
         balls, said = finder.find(window)
@@ -181,8 +181,8 @@ def measure_ball_parity(
 ) -> Parity:
     """Compare torch with ONNX Runtime for some numbers of balls, from the frames on.
 
-    The prompts lie on a spiral over the frame, on balls and beside them: what is seen there need
-    not be a ball to be compared.
+    The prompts lie on a spiral over the frame, on balls and beside them: the comparison does
+    not require a ball there.
 
     Raises
     ------
@@ -233,8 +233,9 @@ from frames of {rates}; the frame rate is an input of the model.
 ## Measured
 
 Errors are in pixels of 128 x 128 frames, the mean over test scenes from the fixed test start. The
-model receives no prompts and no number of balls: the balls with the highest confidence of motion are
-compared with the true balls nearest to them at t = 0. T is the horizon, so the error is that of step T - 1.
+model receives no prompts and no number of balls: the balls with the highest confidence of motion
+are compared with the true balls nearest to them at t = 0. T is the horizon, so the error is that of
+step T - 1.
 
 ### 1 ball, test
 

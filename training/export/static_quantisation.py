@@ -38,13 +38,13 @@ from training.export.weight_rounding import store_in_bytes
 from training.objectives.metrics import Forecasts, beside_truth
 
 KEPT_IN_FLOAT = ("eye.first.where.", "eye.first.ground.")
-"""Convolutions whose outputs are what is read: their rounding would cost most."""
+"""Prefixes of output convolutions, whose rounding has the largest effect."""
 
 LEAST_GAIN = 1.5
 MOST_LOSS_PX = 0.2
 VALIDATION_SCENES = 100
 CALIBRATION_WINDOWS = 20
-"""Of every scenario."""
+"""Calibration windows of every scenario."""
 BATCH = 50
 TIMED_FORECASTS = 40
 
@@ -118,7 +118,7 @@ def write_quantised(source: Path, to: Path, frames: np.ndarray) -> None:
     Parameters
     ----------
     frames
-        [B, K, 128, 128, 3], what the ranges of the activations are measured on.
+        [B, K, 128, 128, 3], on which the ranges of the activations are measured.
     """
     keep_runtime_silent()
     from onnxruntime.quantization import (
@@ -139,7 +139,7 @@ def write_quantised(source: Path, to: Path, frames: np.ndarray) -> None:
             return None if row is None else {FRAMES_INPUT: row[None]}
 
     with tempfile.TemporaryDirectory() as temporary:
-        # Weights in bytes, with what makes float32 of them (decision 0017), become constants.
+        # 8-bit weights and their dequantisation (decision 0017) are folded into constants.
         folded = Path(temporary) / source.name
         quant_pre_process(source, folded, skip_symbolic_shape=True)
         nodes = onnx.load(folded).graph.node

@@ -140,7 +140,7 @@ class Recipe:
     """Horizon of the training of the ``frozen`` parts."""
 
     looks: Looks | None = None
-    """What training windows look like; None for the paper's look alone."""
+    """Appearances of training windows; None for the paper's only."""
 
     def build(self) -> Family:
         """Create the untrained networks."""

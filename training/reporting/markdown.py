@@ -1,4 +1,4 @@
-"""Writes what people read of the results: the README's table and ``docs/results.md``."""
+"""Markdown of the results: the README's table and ``docs/results.md``."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ END = "<!-- end of results -->"
 
 
 def with_results(text: str, manifests: Sequence[Manifest]) -> str:
-    """Replace what stands between the marks of ``text`` by the table of ``manifests``.
+    """Replace the text between the marks of ``text`` by the table of ``manifests``.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def page(results: Results, scenes: int) -> str:
 
 
 def title(scenario: Scenario, objects: int, condition: str = "") -> str:
-    """Name a group of results, with what is special about its scenes."""
+    """Return the title of a group of results, with the condition of its scenes."""
     return ", ".join(filter(None, (scenario, _balls(objects), condition)))
 
 
