@@ -23,7 +23,7 @@ THUMBNAIL = 8
 MOVED_LEVELS = 5.0
 """Change of an area's average, in levels of 0 to 255, where a ball appears or disappears."""
 FLOOR = 1e-3
-"""Added before logarithms are taken: a thousandth of the range of brightness is nothing."""
+"""Offset of brightness in logarithms: a thousandth of the range is negligible."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Familiarity:
     mean: Float32[np.ndarray, "kinds numbers"]
     """Statistics: parts along the components, the unexplained rest, the texture."""
     whitening: Float32[np.ndarray, "kinds numbers numbers"]
-    """Turns differences from the mean into independent ones of variance 1."""
+    """Whitening matrix, which turns differences from the mean into ones of unit covariance."""
 
     def score(self, seen: FrameStats) -> float:
         """Distance from the nearest kind; about 1 is usual."""

@@ -24,7 +24,7 @@ SIGMAS = 2.0
 
 OVERSAMPLING = 2
 PALETTE = ("#E69F00", "#56B4E9", "#CC79A7", "#F0E442", "#009E73")
-"""One colour an object: orange, sky blue, reddish purple, yellow, bluish green."""
+"""Colors by object: orange, sky blue, reddish purple, yellow, bluish green."""
 CASING = "#000000"
 PATH_PX = 3
 ELLIPSE_PX = 1

@@ -76,7 +76,8 @@ class TickAnswer:
     tick: int
     """Number of the frame, as ``send`` returned it."""
     status: TickStatus
-    """``collecting`` for the first three frames, ``forecast``, ``superseded`` if a newer frame
+    """Outcome: ``collecting`` for the first three frames, ``forecast``, ``superseded`` if a newer
+    frame
     arrived before the forecast from this one was begun, or ``refused``."""
     latency_ms: float
     """Time from the receipt of the frame by the service to its answer."""

@@ -56,7 +56,7 @@ class _Tick:
     number: int
     received: float
     collecting: bool = False
-    """True if fewer than four frames had arrived."""
+    """State before the fourth frame."""
     refusal: ServiceError | None = None
     """Reason for which the frame was not taken."""
 

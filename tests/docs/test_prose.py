@@ -6,7 +6,9 @@ for the words and the clauses that stood in for them.
 
 import ast
 import re
+import tokenize
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,6 +32,12 @@ CLAUSES = re.compile(
 """Clauses in place of nouns."""
 SUBJECTLESS = re.compile(r"^(What|Who|That|Those|Whether|Of|Where)\b")
 """Beginnings of descriptions that lack a noun."""
+NO_NOUN = re.compile(
+    r"^(What|Who|Why|How|That|Those|Which|Whether|Where|When|If|Of|In|By|From|To|As|Between|After"
+    r"|Beside|Before|Until|Over|With|Without|On|At|For|Beyond|See|It|Its|True|False|None|Added"
+    r"|Returned|Makes|Reads|Raises|Runs|Turns|Keeps|Names|Narrows|Ends|Called|The same)\b|^[^A-Z]",
+)
+"""Beginnings of attribute descriptions that are no noun: clauses, phrases, verbs, values."""
 PAGES = [
     *(ROOT / f"{name}.md" for name in ("README", "ARCHITECTURE", "CHANGELOG", "SECURITY")),
     *(ROOT / "docs" / f"{name}.md" for name in ("index", "glossary", "benchmarks", "scaling")),
@@ -119,6 +127,28 @@ def docstrings() -> Iterator[Text]:
                 yield Text(file, getattr(node, "lineno", 1), text)
 
 
+def attribute_docs() -> Iterator[Text]:
+    """Yield docstrings of attributes, constants and type aliases."""
+    for file, tree in sources():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef):
+                for before, one in pairwise(node.body):
+                    is_doc = isinstance(one, ast.Expr) and isinstance(
+                        before, ast.Assign | ast.AnnAssign
+                    )
+                    if is_doc and (text := literal(one.value)):
+                        yield Text(file, one.lineno, text)
+
+
+def comments() -> Iterator[Text]:
+    for package in SOURCES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            with path.open("rb") as file:
+                for token in tokenize.tokenize(file.readline):
+                    if token.type == tokenize.COMMENT:
+                        yield Text(path.relative_to(ROOT).as_posix(), token.start[0], token.string)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_pages_use_the_fields_terms(page):
     assert not BANNED.findall(prose(page))
@@ -153,6 +183,20 @@ def test_docstrings_use_the_fields_terms():
     found = list(docstrings())
     assert len(found) > 1000
     assert [str(one) for one in found if BANNED.search(one.text)] == []
+    assert [str(one) for one in found if CLAUSES.search(one.text)] == []
+
+
+def test_comments_use_the_fields_terms():
+    found = list(comments())
+    assert len(found) > 300
+    assert [str(one) for one in found if CLAUSES.search(one.text)] == []
+
+
+def test_attribute_docs_begin_with_a_noun():
+    found = list(attribute_docs())
+    assert len(found) > 900
+    assert [str(one) for one in found if NO_NOUN.search(one.text)] == []
+    assert [str(one) for one in found if CLAUSES.search(one.text)] == []
 
 
 def test_docstrings_of_the_package_and_the_service_begin_with_a_noun_or_a_verb():

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 RUNS_VARIABLE = "ROLLCAST_RUNS"
-"""Names the folder of data sets and checkpoints."""
+"""Variable with the folder of data sets and checkpoints."""
 
 
 def keep_runtime_silent() -> None:

@@ -25,7 +25,7 @@ class BallWindow(NamedTuple):
     visible: Float[np.ndarray, "balls seen"]
     """Visible fractions of the balls."""
     moving: Float[np.ndarray, " balls"]
-    """1 where a ball moves, 0 where it rests."""
+    """Motion: 1 for moving balls, 0 for resting ones."""
     centres: Float[np.ndarray, "balls steps 3"]
     """Centres from t = -3 to the last step, one forecast step apart, without the shake."""
     spins: Float[np.ndarray, "balls steps 3"]

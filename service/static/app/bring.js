@@ -61,7 +61,7 @@ export class Bring {
     const { rate, crop } = this.known;
     byId("spacing").value = String(Number((1000 / rate).toFixed(2)));
     byId("spacing-hint").textContent =
-      `The model knows ${byId("spacing").value} ms, ${Number(rate.toFixed(2))} frames a second. ` +
+      `The model is trained on ${byId("spacing").value} ms, ${Number(rate.toFixed(2))} frames a second. ` +
       "Frames that a camera did not take are blended.";
     if (!crop || !this.footage) return;
     this._hasSquare = true;

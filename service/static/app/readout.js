@@ -41,7 +41,7 @@ export function showFigures(forecasts, truth, index) {
   byId("figures").tBodies[0].replaceChildren(...rows);
 }
 
-/** The balls of somebody's own set-up, in the order of a forecast's objects. */
+/** The balls of a user's own set-up, in the order of a forecast's objects. */
 function ballsOf(done) {
   const balls = (done?.objects ?? []).filter(({ color }) => color.startsWith("#"));
   return balls.map(({ id, color }) => {
