@@ -177,7 +177,7 @@ def ground() -> Figure:
 
 
 def uncertainty() -> Figure:
-    """Draw forecasts of "auto" with their ellipses over the last observed frame, and the true path."""
+    """Draw forecasts of "auto" with their ellipses over the last observed frame, and the truth."""
     predictor = _predictor(ModelQuery())
     figure = Figure(figsize=(8.0, 2.75), layout="constrained")
     shown = [("hemisphere", 16), ("ellipsoid", 3), ("heightfield", 15), ("heightfield", 35)]

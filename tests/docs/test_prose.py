@@ -46,14 +46,14 @@ PAGES = [
     ROOT / "docs" / "reproduced.md",
     *sorted((ROOT / "docs" / "results").glob("*.md")),
     *sorted((ROOT / "docs" / "guide").glob("*.md")),
+    *sorted((ROOT / "models").glob("*/*/MODEL_CARD.md")),
 ]
 WIDTH = 120
 """Characters of a line of prose. Tables, links and generated text may be longer."""
 NARROW = [
-    *(
-        ROOT / f"{name}.md"
-        for name in ("CHANGELOG", "SECURITY", "CONTRIBUTING", "docs/reliability")
-    ),
+    *(ROOT / f"{name}.md" for name in ("README", "ARCHITECTURE", "CHANGELOG", "CONTRIBUTING")),
+    ROOT / "SECURITY.md",
+    *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "docs" / "guide").glob("*.md")),
 ]
 SOURCES = ("rollcast", "service", "training")
@@ -149,17 +149,26 @@ def comments() -> Iterator[Text]:
                         yield Text(path.relative_to(ROOT).as_posix(), token.start[0], token.string)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_pages_use_the_fields_terms(page):
     assert not BANNED.findall(prose(page))
 
 
-@pytest.mark.parametrize("page", NARROW, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", NARROW, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_lines_of_prose_are_short(page):
     lines = page.read_text("utf-8").splitlines()
     assert [
         line for line in lines if len(line) > WIDTH and not line.startswith(("|", "<!--"))
     ] == []
+
+
+CARDS = sorted((ROOT / "models").glob("*/*/MODEL_CARD.md"))
+
+
+@pytest.mark.parametrize("card", CARDS, ids=lambda card: card.parent.relative_to(ROOT).as_posix())
+def test_model_cards_name_architecture_and_supervision(card):
+    (line,) = re.findall(r"^- Architecture: .*?(?=^- |^$)", card.read_text("utf-8"), re.M | re.S)
+    assert "Supervision: " in line
 
 
 def test_settings_use_the_fields_terms():
