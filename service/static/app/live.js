@@ -22,9 +22,9 @@ const FINAL = [401, 403];
 const SLOW = 0.55;
 
 /**
- * @typedef {object} Wanted what is asked of the service
+ * @typedef {object} Wanted options of requests
  * @property {object} fields of a PredictRequest besides frames and rate
- * @property {number} rate frames a second that the model knows
+ * @property {number} rate frame rate of the model
  * @property {boolean} isWhole whether it reads whole pictures
  * @property {boolean} ellipses
  */
@@ -32,7 +32,7 @@ const SLOW = 0.55;
 export class Live {
   /**
    * @param {{canvas: () => HTMLCanvasElement, wanted: () => Wanted, changed: () => void,
-   *   clip: (file: File) => void}} listener `clip` takes what was recorded
+   *   clip: (file: File) => void}} listener `clip` receives the recording
    */
   constructor(listener) {
     this._listener = listener;

@@ -1,4 +1,4 @@
-/** Which of the service's models fit what is asked, and the list to choose up to three from. */
+/** Models that fit the current choices, and the list from which up to three are selected. */
 
 import { byId, make } from "./dom.js";
 import { MARKS } from "./palette.js";

@@ -61,7 +61,7 @@ function pixels(value) {
   return value === null || value === undefined ? "–" : `${value.toFixed(1)} px`;
 }
 
-/** Warnings of the answers, each once, and what the page itself has to say. */
+/** Warnings of the responses, each once, and messages of the page. */
 export function showNotes(take, forecasts) {
   const said = forecasts.flatMap(({ label, done }) =>
     (done?.warnings ?? []).map((warning) => (forecasts.length > 1 ? `${label}: ${warning}` : warning)),

@@ -1,4 +1,4 @@
-/** What the user has chosen, kept in the page's address so that it can be passed on. */
+/** Choices of the user, stored in the address of the page for sharing. */
 
 import { readScene } from "./scene_panel.js";
 

@@ -23,7 +23,7 @@ function isFound(ball) {
 }
 
 /**
- * What is said on the picture.
+ * Return the message on the picture.
  * @returns {{text: string, isDoubt: boolean}} an empty text if there is nothing to say
  */
 export function verdictOf(forecasts) {
