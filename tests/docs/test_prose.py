@@ -152,6 +152,7 @@ def comments() -> Iterator[Text]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_pages_use_the_fields_terms(page):
     assert not BANNED.findall(prose(page))
+    assert not CLAUSES.findall(prose(page))
 
 
 @pytest.mark.parametrize("page", NARROW, ids=lambda page: page.relative_to(ROOT).as_posix())

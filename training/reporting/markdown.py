@@ -84,7 +84,7 @@ Errors of every committed model on the first {scenes} scenes of the test split, 
 start. The test split is not used in training. Errors are in pixels of 128 x 128 frames. T is the
 horizon, so the error at T is the error of step T - 1; "worst step" is the step with the largest
 mean error. "Constant position" is the true position at t = 0, "linear extrapolation" a line through
-ten true positions (t = -3..6). The covariances are those that the service returns: the network's
+ten true positions (t = -3..6). The covariances are those of the service: the network's
 own covariances times a scale per step, which was fitted on validation scenes, or the covariance of
 the residuals on validation scenes. The paper's networks were each trained on about 17 million
 sequences, supervised by positions and angular velocities alone. The committed models were also
