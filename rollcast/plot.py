@@ -37,7 +37,7 @@ SMALLEST_RING_PX = 4
 """Radius that rings around smaller balls have."""
 
 Rings: TypeAlias = Float[np.ndarray, "objects 3"]
-"""x, y and radius of balls, pixels of the frame."""
+"""Positions x and y, and radius, of balls, pixels of the frame."""
 
 CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 73)) for f in (np.cos, np.sin)])
 

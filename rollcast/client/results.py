@@ -53,7 +53,7 @@ class Detections:
     """Balls in four frames, by descending score."""
 
     seen: Float64[np.ndarray, "balls 4 3"]
-    """x, y and radius of each ball in each frame, pixels."""
+    """Positions x and y, and radius, of each ball in each frame, pixels."""
     scores: Float64[np.ndarray, " balls"]
     """Confidence, 0 to 1, that each ball is there."""
     moving: Float64[np.ndarray, " balls"]
@@ -392,7 +392,7 @@ class Simulation(Generic[FramesT, SurfaceT]):
     positions: Float64[np.ndarray, "objects steps 2"]
     """Pixels."""
     angular_velocities: Float64[np.ndarray, "objects steps 3"]
-    """rad/s."""
+    """Angular velocities in rad/s."""
     times_s: Float64[np.ndarray, " steps"]
     """Seconds after index 0."""
     radii_px: Float64[np.ndarray, " objects"]

@@ -34,8 +34,8 @@ SUBJECTLESS = re.compile(r"^(What|Who|That|Those|Whether|Of|Where)\b")
 """Beginnings of descriptions that lack a noun."""
 NO_NOUN = re.compile(
     r"^(What|Who|Why|How|That|Those|Which|Whether|Where|When|If|Of|In|By|From|To|As|Between|After"
-    r"|Beside|Before|Until|Over|With|Without|On|At|For|Beyond|See|It|Its|True|False|None|Added"
-    r"|Returned|Makes|Reads|Raises|Runs|Turns|Keeps|Names|Narrows|Ends|Called|The same)\b|^[^A-Z]",
+    r"|Beside|Before|Until|Over|With|Without|On|At|For|Beyond|See|It|Its|False|None|Added"
+    r"|Returned|Makes|Reads|Raises|Runs|Turns|Keeps|Narrows|Ends|Called|The same)\b|^[^A-Z]",
 )
 """Beginnings of attribute descriptions that are no noun: clauses, phrases, verbs, values."""
 PAGES = [
