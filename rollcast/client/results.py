@@ -162,8 +162,8 @@ class Forecast:
     scores: Float64[np.ndarray, " objects"] | None
     """Confidence, 0 to 1, that each ball is there; None from models for a fixed number of balls."""
     seen: Float64[np.ndarray, "objects 4 3"] | None
-    """x, y and radius of each ball in the four observed frames, pixels; None from models for a
-    fixed number of balls."""
+    """Positions x and y, and radius, of each ball in the four observed frames, pixels; None from
+    models for a fixed number of balls."""
     object_warnings: tuple[tuple[str, ...], ...]
     """Reasons to trust the forecast of each object less."""
     motions: tuple[Motion, ...]
