@@ -96,7 +96,7 @@ def test_a_stuck_call_does_not_keep_the_executor():
 
 
 def test_a_stuck_simulation_is_504_and_the_next_is_answered(start):
-    client = start(simulation_timeout_s=5)
+    client = start(simulation_timeout_s=15)  # starts of the process included
     asked = {"scenario": "hemisphere", "seed": 1, "steps": 4, "include_frames": False}
     assert client.post("/simulate", json=asked).status_code == 200
     for child in multiprocessing.active_children():
