@@ -44,7 +44,7 @@ COPY --from=build /opt/rollcast /opt/rollcast
 COPY --from=build /app /app
 COPY LICENSE /app/
 COPY models /app/models
-# Nobody has no home; what is written, by Ray alone, goes where the root may be written.
+# The user has no home directory. Only Ray writes files, below HOME in the writable /tmp.
 ENV PATH=/opt/rollcast/bin:$PATH \
     HOME=/tmp \
     PYTHONDONTWRITEBYTECODE=1 \

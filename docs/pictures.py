@@ -139,7 +139,7 @@ def conventions() -> Figure:
     right.text(
         2.6, -1.55,
         "positions[ball, t]: pixels of the frames that were sent\n"
-        "times_s[t] = t / frame rate: t = 0 is the last frame seen",
+        "times_s[t] = t / frame rate: t = 0 is the last observed frame",
         ha="center", va="center",
     )  # fmt: skip
     right.set_title("steps, 40 a second")
@@ -147,7 +147,7 @@ def conventions() -> Figure:
 
 
 def ground() -> Figure:
-    """Draw the map that FieldNet's perception estimates of the ground beside the true one."""
+    """Draw the ground map of FieldNet's perception beside the true one."""
     predictor = _predictor(ModelQuery("fieldnet"))
     figure = Figure(figsize=(8.4, 4.9), layout="constrained")
     rows = figure.subplots(2, 3)
@@ -167,15 +167,17 @@ def ground() -> Figure:
             axes.spines[:].set_visible(False)
         figure.colorbar(drawn, ax=list(row[1:]), label="height, cm", shrink=0.9)
         off = np.nanmean(np.abs(read - true))
-        row[2].set_xlabel(f"off by {off:.1f} cm on average")
+        row[2].set_xlabel(f"mean error {off:.1f} cm")
         row[0].set_ylabel(scenario)
-    for axes, name in zip(rows[0], ("last frame seen", "true ground", "as perceived"), strict=True):
+    for axes, name in zip(
+        rows[0], ("last observed frame", "true ground", "estimate of the perception"), strict=True
+    ):
         axes.set_title(name)
     return figure
 
 
 def uncertainty() -> Figure:
-    """Draw forecasts of "auto" with their ellipses over the last seen frame, and the truth."""
+    """Draw forecasts of "auto" with their ellipses over the last observed frame, and the truth."""
     predictor = _predictor(ModelQuery())
     figure = Figure(figsize=(8.0, 2.75), layout="constrained")
     shown = [("hemisphere", 16), ("ellipsoid", 3), ("heightfield", 15), ("heightfield", 35)]

@@ -1,6 +1,6 @@
-"""Finds balls in frames of any size: whole frames once, then patches around what was found.
+"""Detection of balls in frames of any size: whole frames first, then patches around candidates.
 
-The networks are passed in as functions, so service and training look the same way. Places are
+The networks are passed in as functions, so service and training share the detection. Places are
 points of the letterboxed square (:mod:`rollcast.patches`), lengths its halves.
 """
 
@@ -17,22 +17,22 @@ from rollcast.manifest import REFINER_OUTPUTS
 from rollcast.patches import Letterbox, cut_patches, half_widths, letterboxed
 
 PASSES = 2
-"""Times that patches are cut: the second time they are centred already."""
+"""Number of refinement passes; the patches of the second one are centred on the first result."""
 
 LEAST_SCORE = 0.1
-"""Score from which on a candidate is looked at closer."""
+"""Minimum score of a candidate that is refined."""
 LIKELY = 0.5
-"""Score from which on a ball is there."""
+"""Minimum score of a detected ball."""
 
 LEAST_MOVING = 0.25
-"""Product of the confidences that a ball is there and that it moves, from which on it moves."""
+"""Minimum product of the confidences of presence and of motion of a moving ball."""
 LEAST_MOTION = 0.05
-"""The same, from which on it may move."""
+"""Minimum product of both confidences of a ball that may move."""
 SURELY_MOVING = 0.5
-"""The same, from which on the whole frames suffice."""
+"""Minimum product of both confidences above which tiles are not searched."""
 
 MIN_DISPLACEMENT, DISPLACEMENT_ERROR = 0.3 / 64, 0.1 / 64
-"""Displacement over the seen frames from which on a ball moves, and its error, points of the
+"""Minimum displacement of a moving ball over the observed frames, and its error, points of the
 square."""
 
 TILE_SHARE = 0.55
@@ -44,12 +44,12 @@ TILE_SCORE_FACTOR = 0.5
 
 Arrays = Mapping[str, np.ndarray]
 Detect = Callable[[UInt8[np.ndarray, "1 4 128 128 3"]], Arrays]
-"""Frames to ``places`` [1, C, K, 2], ``radii``, ``scores`` and ``moving`` [1, C] of candidates,
+"""Detector: frames to ``places`` [1, C, K, 2], ``radii``, ``scores`` and ``moving`` [1, C],
 ``votes`` [1, 2 K + 3, G, G] (places, logarithm of the radius, score and moving of every cell),
 ``ground`` and ``scene``."""
 Refine = Callable[[Float[np.ndarray, "balls 4 3 32 32"], Sequence[str]], Arrays]
-"""Patches to what is wanted of them: ``offsets`` [M, K, 2], ``log_radius`` [M], ``visible`` [M, K]
-(logits), ``log_sigmas`` [M, 2] and ``features`` [M, F]."""
+"""Refiner: patches and names of outputs to ``offsets`` [M, K, 2], ``log_radius`` [M], ``visible``
+[M, K] (logits), ``log_sigmas`` [M, 2] and ``features`` [M, F]."""
 
 
 class _Rows:
@@ -72,32 +72,32 @@ class _Rows:
 
 @dataclass(frozen=True)
 class Candidates(_Rows):
-    """Balls as the detector sees them, in points of the square."""
+    """Candidates of the detector, in points of the square."""
 
     places: Float[np.ndarray, "balls 4 2"]
-    """In the seen frames."""
+    """Centres in the observed frames."""
     radii: Float[np.ndarray, " balls"]
     scores: Float[np.ndarray, " balls"]
-    """Confidence that each is there, 0..1."""
+    """Confidence of presence, 0..1."""
     moving: Float[np.ndarray, " balls"]
-    """Confidence that each moves, 0..1."""
+    """Confidence of motion, 0..1."""
 
 
 @dataclass(frozen=True)
 class Balls(_Rows):
-    """Balls that were found, or asked for."""
+    """Balls that were detected or prompted."""
 
     places: Float[np.ndarray, "balls 4 2"]
-    """In the seen frames."""
+    """Centres in the observed frames."""
     radii: Float[np.ndarray, " balls"]
     scores: Float[np.ndarray, " balls"]
-    """How surely each is there, 0..1."""
+    """Confidence of presence, 0..1."""
     moving: Float[np.ndarray, " balls"]
-    """How surely each moves, 0..1."""
+    """Confidence of motion, 0..1."""
     visible: Float[np.ndarray, "balls 4"]
-    """How surely each is seen in the frames, 0..1."""
+    """Confidence of visibility in each frame, 0..1."""
     log_sigmas: Float[np.ndarray, "balls 2"]
-    """Standard deviations of the last place and of the last displacement, logarithms."""
+    """Logarithms of the standard deviations of the last position and of the last displacement."""
     features: Float[np.ndarray, "balls features"]
 
     def __len__(self) -> int:
@@ -112,15 +112,14 @@ def find_balls(
     prompts: Float[np.ndarray, "balls 2"] | None = None,
     radii: Float[np.ndarray, " balls"] | None = None,
 ) -> tuple[Balls, Arrays]:
-    """Find balls; return them, the surest first, and what the detector said besides.
+    """Return the detected balls, by descending score, and all outputs of the detector.
 
-    ``square`` [4, 128, 128, 3] is what the detector read.
+    ``square`` [4, 128, 128, 3] is the input of the detector.
 
     Parameters
     ----------
     prompts
-        Points in the last frame that say which balls are meant; with them those are returned, in
-        their order.
+        Points in the last frame that select the balls, which are returned in their order.
     radii
         Of the prompts, NaN where a radius is not known.
     """
@@ -138,7 +137,7 @@ def find_balls(
     voted = votes_at(said["votes"][0], prompts)
     known = voted["radii"] if radii is None else np.where(np.isnan(radii), voted["radii"], radii)
     places = voted["places"]
-    # A click anywhere on a ball means its centre; one that the cells know nothing of stays.
+    # A click anywhere on a ball means its centre; a click far from all votes is kept.
     off = np.linalg.norm(places[:, -1] - prompts, axis=-1)
     stays = off > np.maximum(known, 3 / 64)
     places[stays, -1] = prompts[stays]
@@ -149,7 +148,7 @@ def find_balls(
 def _small_balls(
     detect: Detect, refine: Refine, frames: UInt8[np.ndarray, "4 height width 3"]
 ) -> Balls | None:
-    """Find balls that surely move in tiles, where they are larger than in the whole frames.
+    """Detect moving balls in tiles, where they are larger than in the whole frames.
 
     Returns
     -------
@@ -170,12 +169,12 @@ def _small_balls(
 
 
 def by_motion(balls: Balls) -> np.ndarray:
-    """Index of the balls, those that most surely are there and move first."""
+    """Return the indices of the balls, by descending confidence of presence times motion."""
     return np.argsort(-balls.scores * balls.moving, kind="stable")
 
 
 def moving_balls(balls: Balls, most: int) -> np.ndarray:
-    """Index of the balls that move, the surest first: at least one, at most ``most``."""
+    """Return the indices of 1 to ``most`` moving balls, by descending confidence."""
     order = by_motion(balls)
     sure = order[(balls.scores * balls.moving)[order] > LEAST_MOVING]
     return sure[:most] if len(sure) else order[:1]
@@ -184,7 +183,7 @@ def moving_balls(balls: Balls, most: int) -> np.ndarray:
 def votes_at(
     votes: Float[np.ndarray, "layers cells cells"], points: Float[np.ndarray, "balls 2"]
 ) -> Arrays:
-    """Return what the cells under points say of the balls there, bilinear."""
+    """Return the votes of the detector at points, by bilinear interpolation between cells."""
     cells = votes.shape[-1]
     at = np.clip((points + 1) * (cells / 2) - 0.5, 0, cells - 1)
     low = np.minimum(at.astype(int), cells - 2)
@@ -235,7 +234,7 @@ def _distinct(
     radii: Float[np.ndarray, " balls"],
     scores: Float[np.ndarray, " balls"],
 ) -> np.ndarray:
-    """Index of the balls, the surest first, without those that are others once more."""
+    """Return the indices of the balls by descending score, without duplicate detections."""
     kept: list[int] = []
     for one in np.argsort(-scores, kind="stable").tolist():
         away = [
@@ -249,18 +248,18 @@ def _distinct(
 
 @dataclass(frozen=True)
 class Sightings(_Rows):
-    """Balls that were seen in four frames, moving or not, in pixels of the frames."""
+    """Moving and resting balls in four frames, in pixels of the frames."""
 
     paths: Float[np.ndarray, "balls 4 2"]
     radii: Float[np.ndarray, " balls"]
     scores: Float[np.ndarray, " balls"]
-    """How surely each is there, 0..1."""
+    """Confidence of presence, 0..1."""
     moving: Float[np.ndarray, " balls"]
-    """How surely each moves, 0..1."""
+    """Confidence of motion, 0..1."""
     visible: Float[np.ndarray, "balls 4"]
-    """How surely each is seen in the frames, 0..1; 1 of coarse ones."""
+    """Confidence of visibility in each frame, 0..1; 1 for balls that were not refined."""
     refined: Bool[np.ndarray, " balls"]
-    """Mask of the balls whose patches were cut; the detector placed the others."""
+    """Refinement in patches; other balls have the positions of the coarse detector."""
 
 
 def sight_balls(
@@ -271,16 +270,16 @@ def sight_balls(
     *,
     refine_still: bool,
 ) -> Sightings:
-    """Find all balls of a rectangle, looking at squares as high as its shorter side.
+    """Detect all balls of a rectangle in squares whose side is its shorter side.
 
-    In a square of a wide picture a ball is larger than in the whole of it.
+    In such a square of a wide picture a ball is larger than in the whole picture.
 
     Parameters
     ----------
     least_score
-        Score of the detector from which on a candidate counts.
+        Minimum score of a candidate of the detector.
     refine_still
-        Whether balls that hardly move are looked at closer too.
+        Whether balls that hardly move are refined too.
     """
     side = min(frames.shape[1:3])
     found = _detect_in_tiles(detect, frames, side)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from rollcast.simulation import Sequence as SimulatedSequence
 
 PER_BALL = pa.list_(pa.list_(pa.list_(pa.float32())))
-"""[frames, balls, numbers]."""
+"""Lists [frames, balls, numbers]."""
 COLUMNS = pa.schema(
     [
         pa.field("scene", pa.string(), nullable=False),
@@ -55,7 +55,7 @@ COLUMNS = pa.schema(
 """Frames are PNG files, in the form that Hugging Face's ``datasets`` reads as images."""
 ROWS_WRITTEN_TOGETHER = 32
 COMPRESS_LEVEL = 6
-"""Compression level of the PNG files: they are written once and read often."""
+"""Compression level of the PNG files, which are written once and read often."""
 
 
 @dataclass(frozen=True)

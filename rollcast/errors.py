@@ -82,7 +82,7 @@ class MissingExtraError(RollcastError, ImportError):
     Parameters
     ----------
     purpose
-        What needs it.
+        Feature that needs the package, with its verb.
     package
         Its name.
     extra
@@ -144,7 +144,7 @@ class ProblemError(ClientError):
     problem
         The document: type, title, status, detail, and where they apply field, value, expected.
     advice
-        What to do about it with this client; empty when the document says it all.
+        Remedy in terms of this client; empty if the document is enough.
     """
 
     def __init__(self, problem: "Problem") -> None:

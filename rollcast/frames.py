@@ -74,7 +74,7 @@ START_OF_JPEG = b"\xff\xd8\xff"
 END_OF_IMAGE = b"\xff\xd9"
 """Marker that ends a JPEG file."""
 FILLINGS = (b"", b"\x55" * 4096, b"\xaa" * 4096)
-"""Different data for the missing end of a JPEG file; pixels that are there do not depend on it."""
+"""Substitutes for the missing end of a JPEG file; pixels before the end do not depend on it."""
 HEIC_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 FLOAT_SLACK = 1e-3
 """Distance from 0 to 1 by which rounding may carry a float."""

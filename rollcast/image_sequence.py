@@ -216,7 +216,7 @@ def _parts(name: str) -> list[str | int]:
 
 
 def numbering_warnings(names: Sequence[str]) -> list[str]:
-    """Return what the file names of frames say against frames that are in order and evenly spaced.
+    """Return warnings of file names that contradict frames in order and evenly spaced.
 
     Parameters
     ----------
@@ -229,12 +229,12 @@ def numbering_warnings(names: Sequence[str]) -> list[str]:
 
 
 def _numbering(paths: Sequence[Path], gap: str) -> tuple[list[int] | None, list[str]]:
-    """Return the place of each image in time, in images, and what to warn of.
+    """Return the index of each image in time, and warnings.
 
     Parameters
     ----------
     gap
-        What becomes of gaps in the numbering.
+        Treatment of gaps in the numbering, for the warning.
     """
     found = _numbers_in(paths)
     if found is None:

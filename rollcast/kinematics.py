@@ -1,7 +1,7 @@
-"""Kinematic forecasts: balls that go on as they moved in the observed frames.
+"""Kinematic forecasts of balls by a Kalman filter of constant velocity.
 
-A Kalman filter of constant velocity follows every ball. It needs to know nothing of the ground, and
-on level ground it errs less than networks that were trained on bowls and heightfields.
+The filter needs no ground map. On level ground its errors are smaller than those of networks that
+were trained on bowls and heightfields.
 """
 
 from typing import NamedTuple
@@ -72,7 +72,7 @@ def _filtered(
 def mean_slopes(
     ground: Float[np.ndarray, "3 cells cells"], paths: Float[np.ndarray, "N T 2"]
 ) -> Float[np.ndarray, " N"]:
-    """Return how steep the ground is under the paths of balls, in the mean.
+    """Return the mean slope of the ground under the paths of balls.
 
     Parameters
     ----------

@@ -33,12 +33,11 @@ MANIFEST_FILE = "manifest.json"
 CARD_FILE = "MODEL_CARD.md"
 GOLDEN_FILE = "golden.npz"
 OOD_FILE = "ood.npz"
-"""Statistics of the training frames (``rollcast.ood``); not every artefact has them."""
+"""Statistics of the training frames (``rollcast.ood``); optional."""
 DETECTOR_FILE, REFINER_FILE = "detector.onnx", "refiner.onnx"
-"""Graphs of networks for any number of balls: whole frames to candidates, and patches around them.
-"""
+"""Graphs of networks for any number of balls: detector of whole frames, refiner of patches."""
 HASHED_FILES = (ENCODER_FILE, ROLLOUT_FILE, CARD_FILE, GOLDEN_FILE)
-"""Files that every artefact has."""
+"""Files of every artefact."""
 BALL_FILES = (DETECTOR_FILE, REFINER_FILE, *HASHED_FILES)
 """Files of an artefact for any number of balls."""
 
@@ -49,15 +48,14 @@ PATCHES_INPUT = "patches"
 DETECTOR_OUTPUTS = ("places", "radii", "scores", "moving", "votes", "ground", "scene")
 REFINER_OUTPUTS = ("offsets", "log_radius", "visible", "log_sigmas", "features")
 BALL_INPUTS = ("places", "radii", "log_sigmas", "features")
-"""Inputs of the encoder's graph for every ball, [B, N, ...], and for the whole frames:"""
+"""Inputs of the encoder's graph for every ball, [B, N, ...]."""
 SCENE_INPUTS = ("ground", "scene")
 SPACING_INPUT = "spacing"
-"""Time between two seen frames [B], in steps of the rollout, which the encoder's graph reads too.
-"""
+"""Input of the encoder's graph: time between two observed frames [B], in steps of the rollout."""
 STEPS_INPUT = "steps"
 """Number of steps, an input of the rollout graph, int64 without axes."""
 NEXT_PREFIX = "next_"
-"""The rollout graph reads the state as NAME and returns it as next_NAME."""
+"""Prefix of the state's outputs: the rollout graph reads the state NAME and returns next_NAME."""
 
 
 def _known(name: OutputName) -> OutputName:
@@ -81,7 +79,7 @@ class StateTensor(_Part):
 
     name: Annotated[str, Field(min_length=1)]
     shape: tuple[int, ...]
-    """Without the batch axis."""
+    """Shape without the batch axis."""
     dtype: Literal["float32"] = "float32"
 
 
@@ -90,7 +88,7 @@ class Output(_Part):
 
     name: KnownOutput
     shape: tuple[int, ...]
-    """Without the batch axis: [objects, ...]."""
+    """Shape without the batch axis: [objects, ...]."""
     unit: str
 
 
@@ -106,14 +104,15 @@ class CovarianceSource(_Part):
     """Source of the forecast's covariances (px^2)."""
 
     source: Literal["predicted", "empirical"]
-    """``predicted``: an output of the network. ``empirical``: residuals on validation data."""
+    """Kind: ``predicted`` by the network, or ``empirical``, from residuals on validation data."""
     variance_scale: tuple[Positive, ...] | None = None
-    """Predicted: factor on the covariance of each step, the last one held beyond."""
+    """Factors on predicted covariances by step; the last one holds for all later steps."""
     empirical: tuple[Matrix2, ...] | None = None
-    """Empirical: covariance of the residuals at each step, the last one held beyond."""
+    """Covariances of the residuals by step; the last one holds for all later steps."""
     ellipse50_radius: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
-    """Radius, in standard deviations, of the ellipse that held half of the validation data at each
-    step, the last one held beyond; None is a Gaussian's. Residuals with heavy tails need less."""
+    """Radii by step, in standard deviations, of the ellipse that contains half of the validation
+    data; the last one holds for all later steps, None is a Gaussian's. Residuals with heavy tails
+    have smaller radii."""
 
     @model_validator(mode="after")
     def _source_and_values_agree(self) -> "CovarianceSource":
@@ -132,13 +131,13 @@ class MetricRow(_Part):
     split: Literal["validation", "test"]
     scenario: Domain
     horizon: Annotated[int, Field(ge=1)]
-    """The error is that of step ``horizon - 1``."""
+    """Number of steps; the error is that of step ``horizon - 1``."""
     sequences: Annotated[int, Field(ge=1)]
     position_error_px: float
     """Mean distance between forecast and truth."""
     standard_error_px: float | None = None
     angular_velocity_rmse: float | None = None
-    """rad/s."""
+    """Root mean square error in rad/s."""
     nll_nats: float | None = None
     """Mean negative log likelihood, nats."""
     coverage_50: float | None = None
@@ -151,30 +150,30 @@ class MetricRow(_Part):
 
 
 class Parity(_Part):
-    """Proof that the exported graphs compute what torch computes."""
+    """Comparison of the outputs of the exported graphs with those of torch."""
 
     max_abs_error: dict[KnownOutput, float]
-    """Over batch sizes and horizons, in each output's own unit."""
+    """Maximum over batch sizes and horizons, in each output's own unit."""
     tolerance: dict[KnownOutput, float]
 
 
 class OodThreshold(_Part):
-    """Threshold of the out-of-distribution score (``rollcast.ood``)."""
+    """Threshold of the out-of-distribution score of frames (``rollcast.ood``)."""
 
     threshold: Positive
     """Score above which frames are out of distribution."""
     false_alarm_rate: Annotated[float, Field(ge=0, le=1)]
-    """Share of the test split's windows above it, which are in distribution."""
+    """Share of the in-distribution windows of the test split above the threshold."""
     test_windows: Annotated[int, Field(ge=1)]
 
 
 class PlaceUncertainty(_Part):
-    """Standard deviation of a ball's place at t = 0 that tells lost balls (decision 0145)."""
+    """Threshold of the standard deviation of a ball's position at t = 0 (decision 0145)."""
 
     threshold_px: Positive
     """Value above which a ball counts as lost, pixels of 128."""
     false_alarm_rate: Annotated[float, Field(ge=0, le=1)]
-    """Share of the test split's windows above it, in which no ball is hidden."""
+    """Share of the test split's windows without hidden balls above the threshold."""
     test_windows: Annotated[int, Field(ge=1)]
 
 
@@ -182,9 +181,9 @@ class CameraSetup(_Part):
     """The set-up whose footage a model was trained on."""
 
     colors: tuple[BallColor, ...]
-    """Colour of each ball, in the order of the tracks."""
+    """Color of each ball, in the order of the tracks."""
     crop: tuple[int, int, Annotated[int, Field(ge=1)]]
-    """x, y and size of the square of the camera's pictures that frames show, pixels."""
+    """Square of the camera's pictures that frames show: x, y and side in pixels."""
 
 
 class KinematicSource(_Part):
@@ -193,27 +192,27 @@ class KinematicSource(_Part):
     acceleration_ratio: Annotated[float, Field(ge=0)]
     """Standard deviation of the change of velocity per step, relative to the speed."""
     level_slope: Annotated[float, Field(ge=0)]
-    """Mean slope of the ground under a ball's path up to which "auto" answers with the kinematic
-    forecast; 0 answers with the network's always."""
+    """Maximum mean slope of the ground under a ball's path for which "auto" returns the kinematic
+    forecast; with 0 it always returns the forecast of the network."""
 
 
 class Manifest(_Part):
-    """Everything there is to know about one version of one model."""
+    """Description of one version of one model."""
 
     format_version: Literal[3]
     """Version of these keys and of the names of an artefact's files (decision 0155)."""
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,63}$")]
     version: Annotated[int, Field(ge=1)]
     default: bool
-    """A bare NAME means the version that is marked as default."""
+    """Mark of the version that a name without version selects."""
     variant: Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
     preset: str
     scenarios: Annotated[tuple[Domain, ...], Field(min_length=1)]
     objects: Annotated[int, Field(ge=1, le=MAX_FORECAST_OBJECTS)]
-    """Balls that it follows; where that is free, those that it follows unless it is told more."""
+    """Number of balls; if variable, the number without prompts."""
     max_objects: Annotated[int, Field(ge=1, le=MAX_BALLS)] | None = None
-    """Most balls that it follows; None where the number is fixed. In its state and outputs the
-    second axis is free then."""
+    """Maximum number of balls; None if the number is fixed. A variable number makes the second axis
+    of state and outputs dynamic."""
     observed_frames: Literal[4]
     frames: Literal[4, 5]
     """Frames that the encoder reads: the observed ones and, with 5, the final one."""
@@ -230,25 +229,25 @@ class Manifest(_Part):
     covariance: CovarianceSource
     angular_velocity: bool
     training: dict[str, JsonValue]
-    """Data seed and sizes, sequences seen, configuration: free form, for people."""
+    """Data seed and sizes, number of sequences, configuration, in free form for readers."""
     metrics: tuple[MetricRow, ...]
     validation_error_px: Annotated[float, Field(ge=0)]
     """Mean position error over all scenarios, validation split, at T = 20 for one ball and T = 15
-    for several, whatever the trained horizon: "auto" compares this number alone."""
+    for several, independent of the trained horizon: "auto" compares only this number."""
     parity: Parity
     golden_tolerance: dict[KnownOutput, Positive]
     """Largest absolute difference from golden.npz at which the model is served."""
     setup: CameraSetup | None = None
-    """Set-up of models for footage; None for all others."""
+    """Camera set-up of models for footage; None for all others."""
     random_appearances: bool = False
     """Training on frames of random appearance: "auto" uses such a model where the frames are out of
     distribution for the model that it would choose."""
     kinematic: KinematicSource | None = None
-    """Kinematic forecasts of models for any number of balls; None for all others."""
+    """Kinematic forecasts of models for any number of balls; None for others."""
     place_uncertainty: PlaceUncertainty | None = None
-    """Threshold of models that predict covariances for a fixed number of balls."""
+    """Detection of lost balls, in models for a fixed number of balls that predict covariances."""
     ood: OodThreshold | None = None
-    """None without OOD_FILE: such a model cannot tell."""
+    """Out-of-distribution threshold; None without the statistics of the training frames."""
     files: dict[str, Sha256]
     licence: str
 

@@ -3,8 +3,8 @@
 Frames are summarised in about forty numbers: their 8 x 8 thumbnail in the
 principal components of the training frames, how much of it those leave unexplained, how fine its
 texture is, and how much changes from frame to frame. The score is the Mahalanobis distance of these
-numbers from the nearest kind of scenes in the training, relative to what is usual there (decision
-0120). ``training.export.ood_fit`` fits it; the service warns with it.
+numbers from the nearest kind of scenes in the training, relative to the usual distances there
+(decision 0120). ``training.export.ood_fit`` fits it; the service warns with it.
 """
 
 from dataclasses import asdict, dataclass
@@ -23,7 +23,7 @@ THUMBNAIL = 8
 MOVED_LEVELS = 5.0
 """Change of an area's average, in levels of 0 to 255, where a ball appears or disappears."""
 FLOOR = 1e-3
-"""Added before logarithms are taken: a thousandth of the range of brightness is nothing."""
+"""Offset of brightness in logarithms: a thousandth of the range is negligible."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class FrameStats:
     """Logarithms: how much neighbouring pixels of the last frame differ, by colour; how much each
     frame differs from the next; which share of the picture changes from the first to the last."""
     largest_change: float
-    """Between the first and the last frame, of areas of SHRINK x SHRINK pixels; 0..255."""
+    """Largest change of an area of SHRINK x SHRINK pixels from first to last frame, 0..255."""
 
     @property
     def is_still(self) -> bool:
@@ -77,7 +77,7 @@ class OodDetector:
     mean: Float32[np.ndarray, "kinds numbers"]
     """Statistics: parts along the components, the unexplained rest, the texture."""
     whitening: Float32[np.ndarray, "kinds numbers numbers"]
-    """Turns differences from the mean into independent ones of variance 1."""
+    """Whitening matrix, which turns differences from the mean into ones of unit covariance."""
 
     def score(self, seen: FrameStats) -> float:
         """Distance from the nearest kind; about 1 is usual."""

@@ -48,9 +48,9 @@ class OutputSpec:
     description: str
     """Description for the API's documents."""
     is_required: bool = False
-    """True if every forecast has it."""
+    """Presence in every forecast."""
     is_per_step: bool = True
-    """False if a forecast has one value per ball."""
+    """Presence of a time axis; without it a forecast has one value per ball."""
 
     @property
     def step_name(self) -> str:

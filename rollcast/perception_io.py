@@ -12,10 +12,10 @@ from rollcast.trajectory import OBSERVED_FRAMES
 PLACES = "places"
 """Output of the perception graph: ball positions in the last frame, [B, N, 2]."""
 FINALS = "finals"
-"""Input of the encoder's graph of a network that also sees a final frame: the places there."""
+"""Input of the encoder's graph of a network that also reads a final frame: the positions there."""
 
 Run = Callable[[Sequence[str], dict[str, Any]], Sequence[np.ndarray]]
-"""Runs a graph: names of the wanted outputs and inputs by name to the outputs, [B, ...] all."""
+"""Function that runs a graph: names of outputs, and inputs by name, to outputs [B, ...]."""
 
 
 def run_perception(

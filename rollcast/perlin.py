@@ -28,7 +28,7 @@ def _lattice_gradients() -> np.ndarray:
 
 _GRADIENTS = _lattice_gradients()
 _GRADIENT_LISTS = _GRADIENTS.tolist()
-"""The same numbers as nested lists: single look-ups are ten times faster than in an array."""
+"""Gradients as nested lists, in which single look-ups are ten times faster than in an array."""
 
 
 def _fade(t: Coordinate) -> tuple[Coordinate, Coordinate, Coordinate]:

@@ -24,7 +24,7 @@ SIGMAS = 2.0
 
 OVERSAMPLING = 2
 PALETTE = ("#E69F00", "#56B4E9", "#CC79A7", "#F0E442", "#009E73")
-"""One colour an object: orange, sky blue, reddish purple, yellow, bluish green."""
+"""Colors by object: orange, sky blue, reddish purple, yellow, bluish green."""
 CASING = "#000000"
 PATH_PX = 3
 ELLIPSE_PX = 1
@@ -37,7 +37,7 @@ SMALLEST_RING_PX = 4
 """Radius that rings around smaller balls have."""
 
 Rings: TypeAlias = Float[np.ndarray, "objects 3"]
-"""x, y and radius of balls, pixels of the frame."""
+"""Positions x and y, and radius, of balls, pixels of the frame."""
 
 CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 73)) for f in (np.cos, np.sin)])
 
@@ -154,9 +154,9 @@ def draw_moment(
     forecast
         In pixels of the frame.
     title
-        What stands in the corner.
+        Text in the corner.
     rings
-        Where the balls were seen in this frame; by default nothing is drawn there.
+        Positions of the balls in this frame; by default no rings are drawn.
 
     Returns
     -------

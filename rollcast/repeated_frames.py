@@ -16,9 +16,9 @@ from rollcast.footage import TakenFrame
 COMPARED_PX = 256
 """Longer side of the grey pictures that are compared, about."""
 LARGEST_CHANGE = 20
-"""Change of a grey value (0 to 255) up to which a pixel is the same, due to compression."""
+"""Maximum change of a grey value (0 to 255) by compression."""
 MEAN_CHANGE = 0.1
-"""Mean change of all grey values. The noise of a sensor makes more, even where nothing moves."""
+"""Maximum mean change of grey values; the noise of a sensor exceeds it even without motion."""
 LONGEST_S = 0.25
 """Time without a new frame after which the scene stands still, and nothing is repeated."""
 
@@ -27,7 +27,7 @@ class NumberedFrame(NamedTuple):
     """A picture of a clip."""
 
     number: int
-    """From 0, repeated ones counted."""
+    """Number of the frame from 0, repeated frames included."""
     time_s: float
     picture: UInt8[np.ndarray, "height width 3"]
     changed: float = 0.0
@@ -35,7 +35,7 @@ class NumberedFrame(NamedTuple):
 
 
 def distinct_frames(taken: Iterable[TakenFrame]) -> Iterator[NumberedFrame]:
-    """Yield the frames of a clip without those that repeat the one before.
+    """Yield the frames of a clip without repetitions of the previous frame.
 
     A frame is compared with the last one that was yielded, so slow motion adds up until it shows.
     Of a scene that stands still for longer than LONGEST_S all frames are yielded.

@@ -29,7 +29,7 @@ COLORS: tuple[Color, ...] = tuple(PALETTE)
 
 MAX_OBJECTS = len(COLORS)
 MAX_FORECAST_OBJECTS = 4
-"""Objects of a forecast: footage of a user's own set-up may show one more than scenes."""
+"""Maximum number of balls of models for footage: one more than in scenes."""
 
 MAX_BALLS = 8
 """Balls of a forecast by a model for any number of balls."""
@@ -38,7 +38,7 @@ Domain: TypeAlias = Literal["hemisphere", "ellipsoid", "heightfield", "table", "
 """Domain of a model: a simulated scenario, or footage of a user's own set-up."""
 
 BallColor: TypeAlias = Color | Annotated[str, Field(pattern=r"^#[0-9a-f]{6}$")]
-"""Colour of a ball in footage: its mean colour there. All are colours of CSS."""
+"""Color of a ball as in CSS; for footage the mean colour of the ball."""
 
 MAX_SEED = 2**53 - 1
 """Largest seed: every seed survives JSON, whose numbers are doubles."""
@@ -52,7 +52,7 @@ Quaternion: TypeAlias = tuple[float, float, float, float]
 MAX_SPEED_M_S = 30.0
 """Limit of each component of a start velocity: twice the fastest of the paper."""
 MAX_HEIGHTFIELD_SPEED_M_S = 15.0
-"""The same on heightfields, where a faster ball could pass a hill between two steps."""
+"""Limit on heightfields, where a faster ball could pass a hill between two steps."""
 MAX_SPIN_RAD_S = 500.0
 MAX_SLOPE = 0.2
 """Limit of a table's rise per metre along each axis."""
@@ -85,7 +85,7 @@ class Scene(BaseModel):
     scenario: Scenario
     seed: Annotated[int, Field(ge=0, le=MAX_SEED)]
     textured: Annotated[bool, Strict()]
-    """Several-coloured texture on the ball; otherwise white (one ball) or plain colours."""
+    """Texture of several colours; without it balls are white (one ball) or have plain colours."""
     radius_m: Annotated[Number, Field(ge=0.03, le=0.25)]
     """Radius of every ball."""
     rotation_rad: Annotated[Number, Field(ge=-2 * math.pi, le=2 * math.pi)]

@@ -1,4 +1,4 @@
-"""Bodies of the HTTP API: what goes in, what comes out, what a refusal looks like.
+"""Bodies of the HTTP API: requests, responses and problem documents.
 
 Positions are pixels of the frames that the user sent or asked for: x to the right, y down, (0, 0)
 the top-left corner of the top-left pixel. Angular velocities are rad/s about the world's axes. Time
@@ -169,14 +169,14 @@ _ForecastOutputs = _outputs_body(
 
 
 class BallPrompt(RequestBody):
-    """A point that says which ball is meant."""
+    """Point in the last observed frame that selects a ball."""
 
     x: Number
-    """Pixels of the last observed frame, to the right."""
+    """X coordinate in pixels of the last observed frame, to the right."""
     y: Number
-    """Pixels of the last observed frame, down."""
+    """Y coordinate in pixels of the last observed frame, down."""
     radius: Annotated[Number, Field(gt=0)] | None = None
-    """Pixels; by default estimated."""
+    """Radius in pixels; by default estimated."""
 
 
 Horizon = Annotated[Integer, Field(ge=1, le=MAX_HORIZON)]
@@ -191,7 +191,7 @@ class PredictRequest(RequestBody):
     """Body of ``POST /predict``, as JSON or, with the images as file parts, as multipart."""
 
     model: str = AUTO_MODEL
-    """"auto", NAME (its default version) or NAME@VERSION."""
+    """Model: "auto", NAME (its default version) or NAME@VERSION."""
     frames: Annotated[
         list[EncodedImage], Field(min_length=OBSERVED_FRAMES, max_length=OBSERVED_FRAMES)
     ]
@@ -203,50 +203,50 @@ class PredictRequest(RequestBody):
     horizon: Horizon | None = None
     """Number of steps, t = 0..horizon-1: 40 by default, with a final frame ``final_step`` + 1."""
     num_objects: BallCount = None
-    """Number of balls: by default the named model's, with "auto" one. A model for any number of
-    balls follows, by default, those that move."""
+    """Number of balls: by default that of the named model, with "auto" one. A model for any number
+    of balls follows the moving balls by default."""
     balls: Annotated[
         Annotated[list[BallPrompt], Field(min_length=1, max_length=MAX_BALLS)] | None,
         BeforeValidator(_decode_json),
     ] = None
-    """Which balls are meant, for a model for any number of balls: one prompt a ball, in the order
-    of the answer's objects."""
+    """Prompts that select balls, for a model for any number of balls: one per ball, in the order of
+    the objects of the response."""
     scenario: Domain | None = None
-    """Narrows the choice to models made for this scenario, or for footage of a set-up of one's
+    """Restriction of the choice to models for this scenario, or for footage of a set-up of your
     own."""
     frame_rate: FrameRate | None = None
-    """Frames a second of the observed frames, by default as many as the model was trained on."""
+    """Rate of the observed frames per second; default: the rate of the model's training data."""
     step_rate: FrameRate | None = None
-    """Steps a second of the forecast, by default ``frame_rate``: steps between those of the model
-    are interpolated."""
+    """Rate of the steps per second; default: ``frame_rate``. Steps between those of the model are
+    interpolated."""
 
 
 class SessionRequest(RequestBody):
     """First message of a session, ``WebSocket /stream``: text."""
 
     model: str = AUTO_MODEL
-    """"auto", NAME (its default version) or NAME@VERSION; not a model with a final frame."""
+    """Model: "auto", NAME (its default version) or NAME@VERSION, without a final frame."""
     horizon: Horizon | None = None
     """Number of steps, t = 0..horizon-1: 40 by default."""
     num_objects: BallCount = None
     """Number of balls, as for ``POST /predict``."""
     scenario: Domain | None = None
-    """Narrows the choice to models made for this scenario, or for footage of a set-up of one's
+    """Restriction of the choice to models for this scenario, or for footage of a set-up of your
     own."""
     frame_rate: FrameRate | None = None
-    """Frames a second that are sent, by default as many as the model was trained on."""
+    """Rate of the sent frames per second; default: the rate of the model's training data."""
     step_rate: FrameRate | None = None
-    """Steps a second of the forecasts, by default ``frame_rate``."""
+    """Rate of the steps per second; default: ``frame_rate``."""
 
 
 class ModelReference(ResponseBody):
-    """The model that answered."""
+    """Model that computed the forecast."""
 
     name: str
     version: int
     variant: str
     trained_horizon: int
-    """Steps that training has seen; later ones are extrapolated."""
+    """Number of steps in training; later ones are extrapolated."""
 
 
 class SeenBall(ResponseBody):
@@ -258,7 +258,7 @@ class SeenBall(ResponseBody):
 
 
 Motion = Literal["network", "kinematic"]
-"""Source of a ball's motion: the model's network, or a Kalman filter of constant velocity."""
+"""Method of a forecast: the network of the model, or a Kalman filter of constant velocity."""
 
 
 class AlternativeForecast(ResponseBody):
@@ -266,9 +266,9 @@ class AlternativeForecast(ResponseBody):
 
     motion: Motion
     positions: list[Point]
-    """[horizon][x, y], pixels."""
+    """Positions [horizon][x, y], pixels."""
     covariances: list[Matrix]
-    """[horizon][2][2], square pixels."""
+    """Covariances [horizon][2][2], square pixels."""
 
 
 class ForecastObject(_PathOutputs):
@@ -276,8 +276,8 @@ class ForecastObject(_PathOutputs):
 
     color: BallColor
     covariance_source: Literal["predicted", "empirical"]
-    """``predicted`` by the network for these frames, or ``empirical``: the model's residuals on
-    validation data at that step."""
+    """Source: ``predicted`` by the network for these frames, or ``empirical``, the residuals of the
+    model on validation data at that step."""
     score: Annotated[float, Field(ge=0, le=1)] | None = None
     """Confidence that the ball is there; None from models for a fixed number of balls."""
     seen: list[SeenBall] | None = None
@@ -285,7 +285,7 @@ class ForecastObject(_PathOutputs):
     warnings: list[str] = []  # noqa: RUF012 - of a pydantic model
     """Reasons to trust this ball's forecast less."""
     motion: Motion = "network"
-    """``kinematic`` where "auto" reads the ground as level; such a forecast has no angular
+    """Method: ``kinematic`` where "auto" estimates level ground; such a forecast has no angular
     velocities."""
     alternative: AlternativeForecast | None = None
     """The forecast of the other motion; None from models for a fixed number of balls."""
@@ -295,42 +295,42 @@ class DetectRequest(RequestBody):
     """Body of ``POST /detect``, as JSON or, with the images as file parts, as multipart."""
 
     model: str = AUTO_MODEL
-    """"auto", NAME (its default version) or NAME@VERSION of a model for any number of balls."""
+    """Model for any number of balls: "auto", NAME (its default version) or NAME@VERSION."""
     frames: Annotated[
         list[EncodedImage], Field(min_length=OBSERVED_FRAMES, max_length=OBSERVED_FRAMES)
     ]
     """Four frames in order: base64 of PNG, JPEG or WebP files of one size, 32 to 4096 pixels a
     side."""
     min_score: Annotated[Number, Field(ge=0, le=1)] = 0.25
-    """Score of the coarse detector from which on a candidate is reported."""
+    """Minimum score of the coarse detector for a reported candidate."""
     refine_still: Flag = True
-    """Refinement of balls that hardly move, too; without it the answer takes less time."""
+    """Refinement of balls that hardly move; without it the response takes less time."""
 
 
 class DetectedBall(ResponseBody):
     """One ball in four frames."""
 
     score: Annotated[float, Field(ge=0, le=1)]
-    """Confidence that the ball is there."""
+    """Confidence that the ball is present."""
     moving: Annotated[float, Field(ge=0, le=1)]
     """Confidence that it moves."""
     refined: bool
-    """False where the position is the coarse detector's."""
+    """Refinement in patches; if false, the position is that of the coarse detector."""
     seen: list[SeenBall]
     """The ball in each frame, pixels."""
     visible: list[float]
-    """Confidence that each frame shows it, 0 to 1."""
+    """Confidence that each frame shows the ball, 0 to 1."""
 
 
 class DetectResponse(ResponseBody):
     """Answer of ``POST /detect``."""
 
     model: str
-    """NAME@VERSION."""
+    """Model that detected the balls, NAME@VERSION."""
     frame_size: Size
-    """Width and height of the frames: the unit of every position."""
+    """Width and height of the frames, whose pixels are the unit of all positions."""
     balls: list[DetectedBall]
-    """The surest first."""
+    """Balls by descending score."""
 
 
 class PredictTiming(ResponseBody):
@@ -340,7 +340,7 @@ class PredictTiming(ResponseBody):
     encode: float
     rollout: float
     total: float
-    """From the parsed request to the answer, the wait in the queue not counted."""
+    """Time from the parsed request to the response, without the time in the queue."""
 
 
 class ForecastSummary(_ForecastOutputs):
@@ -348,11 +348,11 @@ class ForecastSummary(_ForecastOutputs):
 
     model: ModelReference
     frame_size: Size
-    """Width and height of the frames that were sent: the unit of every position."""
+    """Width and height of the sent frames, whose pixels are the unit of all positions."""
     frame_rate: float
-    """Frames a second of the observed frames."""
+    """Rate of the observed frames per second."""
     step_rate: float
-    """Steps a second of the forecast."""
+    """Rate of the steps per second."""
     warnings: list[str]
     timing_ms: PredictTiming
 
@@ -362,11 +362,11 @@ class PredictResponse(ForecastSummary):
 
     objects: list[ForecastObject]
     times_s: list[float]
-    """Seconds after the last observed frame of each step."""
+    """Time of each step in seconds after the last observed frame."""
     ellipse50_radii: list[float]
-    """[horizon]: radius, in standard deviations of ``covariances``, of the ellipse that should hold
-    the truth every second time; 1.18 of a Gaussian, less where the model's errors have heavy tails.
-    The ellipse that should hold 95 % always has a Gaussian's radius, 2.45."""
+    """Radius [horizon], in standard deviations of ``covariances``, of the ellipse that should
+    contain the true position 50 % of the time: 1.18 for a Gaussian, less for errors with heavy
+    tails. The ellipse for 95 % always has the radius of a Gaussian, 2.45."""
 
 
 class StreamObject(_StepOutputs):
@@ -378,9 +378,9 @@ class StreamStep(ResponseBody):
 
     step: int
     time_s: float
-    """Seconds after the last observed frame."""
+    """Time in seconds after the last observed frame."""
     ellipse50_radius: float
-    """Radius of this step, as in ``PredictResponse.ellipse50_radii``."""
+    """Radius at this step, as in ``PredictResponse.ellipse50_radii``."""
     objects: list[StreamObject]
 
 
@@ -411,7 +411,7 @@ class SimulateRequest(RequestBody):
 
     scenario: Scenario
     seed: Annotated[Integer, Field(ge=0, le=MAX_SEED)]
-    """The same seed gives the same bytes."""
+    """Seed of the scene: the same seed gives the same bytes."""
     num_objects: ObjectCount | None = None
     """Number of balls: by default that of ``scene.positions_m``, else one."""
     steps: Annotated[Integer, Field(ge=MIN_STEPS, le=MAX_STEPS)] = OBSERVED_FRAMES + DEFAULT_HORIZON
@@ -421,7 +421,7 @@ class SimulateRequest(RequestBody):
     image_size: Annotated[Integer, Field(ge=MIN_FRAME_SIZE, le=MAX_IMAGE_SIZE)] = 128
     """Side of the frames in pixels."""
     textured: Flag | None = None
-    """By default true for one ball, false for several."""
+    """Texture on the ball; default: true for one ball, false for several."""
     include_frames: Flag = True
     include_surface: Flag = False
     scene: SceneParameters = SceneParameters()
@@ -429,7 +429,7 @@ class SimulateRequest(RequestBody):
 
     @property
     def balls(self) -> int:
-        """Number of balls that is asked for."""
+        """Requested number of balls."""
         return self.num_objects or len(self.parameters.get("positions_m", (None,)))
 
     @property
@@ -498,9 +498,9 @@ class SimulatedObject(ResponseBody):
     color: Color
     radius_px: float
     positions: list[Point]
-    """[steps][x, y], pixels."""
+    """Positions [steps][x, y], pixels."""
     angular_velocities: list[Vector]
-    """[steps][x, y, z], rad/s."""
+    """Angular velocities [steps][x, y, z], rad/s."""
 
 
 class SurfaceGrid(ResponseBody):
@@ -509,8 +509,8 @@ class SurfaceGrid(ResponseBody):
     half_width_m: float
     """Half the side of the square that the frame shows, metres."""
     heights_m: list[list[float | None]]
-    """[n][n] rows from the frame's top to its bottom, columns from left to right; the outermost
-    points lie on its edges. Metres, to the nearest micrometre; None where there is no surface."""
+    """Heights [n][n] in metres, to the nearest micrometre: rows from top to bottom of the frame,
+    columns from left to right, the outermost points on its edges. None outside the surface."""
 
 
 class SimulateResponse(ResponseBody):
@@ -526,12 +526,12 @@ class SimulateResponse(ResponseBody):
     start_step: int
     """Step of the simulation that index 0 shows."""
     times_s: list[float]
-    """Seconds after index 0."""
+    """Time in seconds after index 0."""
     frames: list[str] | None
-    """[steps] base64 PNG; None when they were not asked for."""
+    """Frames [steps], base64 of PNG; None without ``include_frames``."""
     objects: list[SimulatedObject]
     surface: SurfaceGrid | None = None
-    """None when it was not asked for."""
+    """Heights of the ground; None without ``include_surface``."""
     scene: Scene
 
 
@@ -539,7 +539,7 @@ class ModelMetrics(ResponseBody):
     """Accuracy of a model, in pixels of 128 x 128 frames."""
 
     validation_error_px: float
-    """The number by which "auto" chooses."""
+    """Validation error, which "auto" compares between models."""
     rows: list[dict[str, JsonValue]]
     """One row per split, scenario and horizon (``rollcast.manifest.MetricRow``)."""
 
@@ -548,38 +548,36 @@ class ModelSetup(ResponseBody):
     """The set-up whose footage a model was trained on."""
 
     colors: list[BallColor]
-    """Colour of each ball, in the order of a forecast's objects."""
+    """Color of each ball, in the order of the objects of a forecast."""
     crop: tuple[int, int, int]
-    """x, y and size of the square of the camera's pictures that frames show, pixels."""
+    """Square of the camera's pictures that frames show: x, y and side in pixels."""
 
 
 class ModelEntry(ResponseBody):
-    """One version of one model. What only its manifest tells is None when that cannot be read."""
+    """One version of one model. Fields of its manifest are None if the manifest is not readable."""
 
     name: str
     version: int
     default: bool = False
-    """A bare NAME means this version."""
+    """Selection of this version by a name without version."""
     status: Literal["ready", "invalid", "unloaded"]
     reason: str | None = None
-    """Why it is not ready."""
+    """Reason for a status other than ``ready``."""
     variant: str | None = None
     preset: str | None = None
     scenarios: list[Domain] | None = None
     objects: int | None = None
     max_objects: int | None = None
-    """Most balls of a model for any number of balls, which takes prompts and frames of any
-    rectangle; None where ``objects`` is fixed."""
+    """Maximum number of balls of a model for any number of balls, which accepts prompts and frames
+    of any aspect ratio; None if ``objects`` is fixed."""
     frame_rate_hz: float | None = None
-    """Steps a second, and frames a second of what it was trained on unless ``frame_rates_hz`` is
-    given."""
+    """Rate of the steps in Hz, and of the training frames unless ``frame_rates_hz`` is given."""
     frame_rates_hz: tuple[float, float] | None = None
-    """Lowest and highest ``frame_rate`` that it takes into account; None where it assumes
-    ``frame_rate_hz``."""
+    """Lowest and highest supported ``frame_rate``; None where ``frame_rate_hz`` is assumed."""
     setup: ModelSetup | None = None
-    """The set-up that it was trained on, where its scenarios are ``footage``."""
+    """Camera set-up of the training footage; None for models for simulated scenes."""
     frames: int | None = None
-    """Frames that it reads: 4, or 5 with a final frame."""
+    """Number of frames: 4, or 5 with a final frame."""
     final_step: int | None = None
     trained_horizon: int | None = None
     covariance_source: Literal["predicted", "empirical"] | None = None
@@ -597,10 +595,10 @@ class ModelDetail(ModelEntry):
     """Answer of ``GET /models/{name}`` (its default version) and of one version."""
 
     versions: list[int]
-    """Every version of this name."""
+    """Versions of the model."""
     licence: str | None
     card: str | None
-    """The model card, Markdown."""
+    """Model card in Markdown."""
 
 
 class Health(ResponseBody):
@@ -610,14 +608,14 @@ class Health(ResponseBody):
 
 
 class FieldError(ResponseBody):
-    """One thing that is wrong with a request."""
+    """Invalid value in a request."""
 
     field: str | None = None
     """Path of the field: ``frames[2]``, ``scene.radius_m``."""
     value: JsonValue = None
-    """Given value, shortened."""
+    """Value in the request, shortened."""
     expected: str | None = None
-    """Expected value."""
+    """Description of valid values."""
 
 
 class Problem(ResponseBody):
@@ -631,9 +629,9 @@ class Problem(ResponseBody):
     field: str | None = None
     value: JsonValue = None
     expected: str | None = None
-    """The first fault, as in ``FieldError``; absent when no single value is at fault."""
+    """First invalid value, as in ``FieldError``; absent if the problem concerns no single value."""
     errors: list[FieldError] | None = None
-    """Every fault, when there are several."""
+    """List of all invalid values, if there are several."""
 
 
 TickStatus = Literal["open", "collecting", "forecast", "superseded", "refused"]
@@ -641,7 +639,7 @@ TickStatus = Literal["open", "collecting", "forecast", "superseded", "refused"]
 
 ``open``: the first message, the session's options, is accepted. ``collecting``: there are fewer
 than four frames. ``forecast``: the forecast from this frame and the three before it.
-``superseded``: a newer frame arrived before the forecast from this one was begun; the frame belongs
+``superseded``: a newer frame arrived before the forecast from this one began; the frame belongs
 to later forecasts. ``refused``: ``problem`` gives the reason."""
 
 
@@ -652,8 +650,8 @@ class TickResponse(ResponseBody):
     """Number of the frame, from 1; 0 answers the first message."""
     status: TickStatus
     latency_ms: float
-    """From the receipt of the message to this answer."""
+    """Time from the receipt of the message to this answer."""
     forecast: PredictResponse | None = None
-    """The answer of ``POST /predict``, with the status ``forecast``."""
+    """Forecast as of ``POST /predict``, with the status ``forecast``."""
     problem: Problem | None = None
-    """The problem document, with the status ``refused``."""
+    """Problem document, with the status ``refused``."""

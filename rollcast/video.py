@@ -1,8 +1,8 @@
 """Frames of a video file by presentation time (extra ``video``).
 
 Times are seconds after the video's first frame. Pictures are turned and mirrored, deinterlaced,
-and their pixels square, as players show them; colours are those that the file is tagged with, and
-BT.601 where it has no tag.
+and their pixels square, as players show them; colours are converted by the tag of the file, and
+by BT.601 without a tag.
 """
 
 import math
@@ -74,14 +74,14 @@ class _Probe(NamedTuple):
     interval_s: float | None
     """Seconds between frames, where the file has no times."""
     is_counted: bool
-    """True if the k-th frame gets the k-th time, because its own is missing or not ascending."""
+    """Replacement of missing or non-ascending times: the k-th frame gets the k-th time."""
     is_interlaced: bool
 
 
 class _Damage(NamedTuple):
     stamp: int | None
     packet: int
-    """Its number."""
+    """Number of the frame."""
 
 
 _Timed: TypeAlias = tuple[float, VideoFrame]
@@ -485,7 +485,7 @@ def _pixels(shown: _Shown, name: str) -> UInt8[np.ndarray, "height width 3"]:
     """Picture with square pixels, turned as players show it."""
     picture = shown.picture
     try:
-        # Said in full: versions of PyAV differ in what they assume.
+        # Explicit, because versions of PyAV have different defaults.
         rgb = picture.reformat(
             width=round(picture.width * shown.pixel_aspect),
             format="rgb24",

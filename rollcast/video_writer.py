@@ -62,8 +62,8 @@ def _encode(path: Path, pictures: Iterable[Image.Image], frame_rate: float) -> N
     except ModuleNotFoundError as error:
         raise MissingExtraError("videos need", "PyAV", "video") from error
     try:
-        # Names go through Python: PyAV refuses those that are not UTF-8. Its types know little of
-        # its options.
+        # Python opens the file, because PyAV rejects names that are not UTF-8. Its types lack most
+        # options.
         with path.open("wb") as file:
             opened: Any = av.open(file, "w", format=path.suffix.lower()[1:])
             with opened as container:

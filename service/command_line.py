@@ -72,8 +72,8 @@ def serve(
     with listener:
         port = listener.getsockname()[1]
         typer.echo(f"Rollcast listens on http://{host}:{port} (documentation: /docs)")
-        # Inherited by every connection; asyncio leaves it out for those that it has not made, and
-        # answers then wait 40 ms for an acknowledgement.
+        # Inherited by every connection. asyncio does not set it with a listener that it has
+        # not created, and responses then wait 40 ms for an acknowledgement.
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         try:
             code = _serve(settings, listener)
@@ -116,7 +116,7 @@ def _is_loopback(host: str) -> bool:
     try:
         found = socket.getaddrinfo(host, None)
     except OSError:
-        return True  # listening will tell what is wrong with it
+        return True  # listening reports the error
     return all(ipaddress.ip_address(address[0]).is_loopback for *_, address in found)
 
 

@@ -50,9 +50,9 @@ class ServiceError(RollcastError):
     Parameters
     ----------
     detail
-        What happened, in a sentence.
+        Description of the error, a sentence.
     field_errors
-        The values at fault, if there are any.
+        Invalid values, if any.
     """
 
     status: ClassVar[int]

@@ -27,7 +27,7 @@ from service.auth.api_keys import KeyFile
 
 PREFIX = "ROLLCAST_"
 FILE_VARIABLE = "ROLLCAST_SETTINGS_FILE"
-"""Names a TOML file of settings; variables of the environment go before it."""
+"""Variable with the path of a TOML file of settings; other variables override the file."""
 OTHER_VARIABLES = frozenset({FILE_VARIABLE, "ROLLCAST_RUNS", "ROLLCAST_API_KEY", "ROLLCAST_URL"})
 """Variables of this file, of the training and of the client, all in the same environment."""
 KUBERNETES_VARIABLE = re.compile(
@@ -63,7 +63,7 @@ def keep_products_on_one_thread() -> None:
 
 
 SHARED_METRICS = "PROMETHEUS_MULTIPROC_DIR"
-"""Names the folder in which several processes count; Prometheus' client reads it too."""
+"""Variable with the folder of shared metrics, which Prometheus' client reads too."""
 SHUTDOWN_MARGIN_S = 1
 """Time beyond ``graceful_shutdown_timeout_s`` after which a process ends without finishing its
 work."""

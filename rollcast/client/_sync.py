@@ -27,7 +27,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 PIECE_BYTES = 2**16
-"""Bytes that are written before the deadline is looked at again."""
+"""Number of bytes that are written between checks of the deadline."""
 SHORTEST_TIMEOUT_S = 1e-3
 """Shortest timeout of a socket, for which 0 would mean not to wait at all."""
 

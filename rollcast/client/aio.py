@@ -115,11 +115,11 @@ class AsyncClient:
         final_frame
             A later frame, for models that read one: that of the last step.
         num_objects
-            Number of balls; by default the named model's, with "auto" one. A model for any number
-            of balls follows, by default, those that move.
+            Number of balls; default: that of the named model, with "auto" one. A model for any
+            number of balls follows the moving balls by default.
         balls
-            Which balls are meant: a point of the last observed frame for each of them, in the order
-            of the forecast's objects. Points are (x, y), (x, y, radius) or ``BallPrompt``, in
+            Prompts that select balls: a point of the last observed frame for each, in the order of
+            the forecast's objects. Points are (x, y), (x, y, radius) or ``BallPrompt``, in
             pixels of the frames that are sent, of a video in pixels of its pictures. With "auto" a
             model for any number of balls answers.
         scenario

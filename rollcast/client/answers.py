@@ -39,9 +39,9 @@ def translated(request: httpx2.Request, proxy: Proxy | None) -> Generator[None]:
     RequestTimeoutError
         When the time is over.
     UnreachableError
-        When no answer came, or not all of one.
+        When the answer is missing or incomplete.
     UnexpectedAnswerError
-        When what came is not HTTP as it should be.
+        When the answer is not valid HTTP.
     """
     way = f" through the proxy {proxy}, which NO_PROXY avoids" if proxy else ""
     try:

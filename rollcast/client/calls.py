@@ -298,7 +298,7 @@ def detect(
 
 
 def _advice(problem: Problem) -> str:
-    """Say what makes frames square, where the service reads no others."""
+    """Return advice on square frames if the service rejects others; empty otherwise."""
     is_of_frames = (problem.field or "").partition("[")[0] in {"frames", "final_frame"}
     if not is_of_frames or "square" not in (problem.expected or ""):
         return ""

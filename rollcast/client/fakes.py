@@ -50,7 +50,7 @@ VELOCITY = np.array([0.01, 0.004])
 """Start of the first ball, offset between balls, and velocity per step, in shares of the frame."""
 RADIUS = 0.05
 SCORE = 0.99
-"""Score of balls that a prompt selects."""
+"""Confidence of every ball."""
 SURFACE_POINTS = 9
 TURNING_RAD_S = (0.0, 1.0, 0.0)
 
@@ -339,7 +339,7 @@ def _ground(scene: Scene) -> SurfaceGrid:
 
 
 def _made_outputs(path: np.ndarray, variance_px2: float) -> dict[OutputName, Any]:
-    """Return the outputs of a ball on a path [T, 2], zeros for those that are not simulated."""
+    """Return the outputs of a ball on a path [T, 2], zeros for outputs that are not simulated."""
     known = {
         "positions": path,
         "covariances": variance_px2 * np.eye(2),

@@ -27,9 +27,9 @@ class FrameTensor(Protocol):
 
 
 Frames = Sequence[Frame] | np.ndarray | FrameTensor
-"""Several of them in order, or one array or tensor of frames."""
+"""Sequence of frames in order, or one array or tensor of frames."""
 Crop = Literal["square"]
-"""``square`` cuts the largest square out of the middle of every frame."""
+"""Crop of every frame: ``square`` is the largest square in its middle."""
 
 
 def each(frames: Frames) -> list[Frame]:

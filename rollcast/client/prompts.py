@@ -40,7 +40,7 @@ def prompts_of(balls: BallPoints) -> list[BallPrompt]:
 
 
 def moved(prompts: Sequence[BallPrompt], crop: PictureCrop) -> list[BallPrompt]:
-    """Return prompts of whole pictures as prompts of what is cut out of them."""
+    """Return prompts of whole pictures as prompts of a crop of them."""
     return [
         prompt.model_copy(update={"x": prompt.x - crop.x, "y": prompt.y - crop.y})
         for prompt in prompts

@@ -50,10 +50,10 @@ else:
 
 @dataclass(frozen=True)
 class Detections:
-    """Balls in four frames, the surest first."""
+    """Balls in four frames, by descending score."""
 
     seen: Float64[np.ndarray, "balls 4 3"]
-    """x, y and radius of each ball in each frame, pixels."""
+    """Positions x and y, and radius, of each ball in each frame, pixels."""
     scores: Float64[np.ndarray, " balls"]
     """Confidence, 0 to 1, that each ball is there."""
     moving: Float64[np.ndarray, " balls"]
@@ -61,7 +61,7 @@ class Detections:
     visible: Float64[np.ndarray, "balls 4"]
     """Confidence, 0 to 1, that each frame shows the ball."""
     refined: Bool[np.ndarray, " balls"]
-    """False where the position is the coarse detector's."""
+    """Refinement in patches; if false, the position is that of the coarse detector."""
     frame_size: tuple[int, int]
     """Width and height of the frames, pixels."""
     model: str
@@ -98,13 +98,13 @@ class ForecastStep:
     """One step of a forecast, as soon as it is computed."""
 
     step: int
-    """0 is the last observed frame."""
+    """Number of the step; 0 is the last observed frame."""
     time_s: float
     """Seconds after the last observed frame."""
     ellipse50_radius: float
     """Element of ``Forecast.ellipse50_radii`` for this step."""
     outputs: Mapping[OutputName, np.ndarray]
-    """Outputs [objects, ...] by name, without those that the model does not have."""
+    """Outputs [objects, ...] of the model by name."""
 
     @property
     def positions(self) -> Float64[np.ndarray, "objects 2"]:
@@ -148,13 +148,13 @@ class Forecast:
     """Forecast paths of the balls, steps t = 0 (the last observed frame) to T-1."""
 
     outputs: Mapping[OutputName, np.ndarray]
-    """Outputs by name, [objects, T, ...] or, those of no step, [objects, ...], without those that
-    the model does not have. ``positions`` and others are attributes as well."""
+    """Outputs of the model by name: [objects, T, ...], or [objects, ...] for outputs without a time
+    axis. ``positions`` and others are attributes as well."""
     covariance_source: Literal["predicted", "empirical"]
-    """``predicted`` for these frames, or ``empirical``: residuals on validation data."""
+    """Source: ``predicted`` for these frames, or ``empirical``, residuals on validation data."""
     ellipse50_radii: Float64[np.ndarray, " T"]
-    """Standard deviations: radius of the ellipse that should hold the truth every second time. That
-    of the ellipse that should hold 95 % is always 2.45."""
+    """Radius, in standard deviations, of the ellipse that should contain the true position 50 % of
+    the time. The radius for 95 % is always 2.45."""
     times_s: Float64[np.ndarray, " T"]
     """Seconds after the last observed frame."""
     colors: tuple[str, ...]
@@ -162,12 +162,12 @@ class Forecast:
     scores: Float64[np.ndarray, " objects"] | None
     """Confidence, 0 to 1, that each ball is there; None from models for a fixed number of balls."""
     seen: Float64[np.ndarray, "objects 4 3"] | None
-    """x, y and radius of each ball in the four observed frames, pixels; None from models for a
-    fixed number of balls."""
+    """Positions x and y, and radius, of each ball in the four observed frames, pixels; None from
+    models for a fixed number of balls."""
     object_warnings: tuple[tuple[str, ...], ...]
     """Reasons to trust the forecast of each object less."""
     motions: tuple[Motion, ...]
-    """``network`` or ``kinematic``: what moves each object."""
+    """Method of the forecast of each object: ``network`` or ``kinematic``."""
     alternatives: tuple[AlternativeForecast | None, ...]
     """Forecast of each object by the other motion; None from models for a fixed number of balls."""
     model: ModelReference
@@ -266,8 +266,8 @@ class Forecast:
         Parameters
         ----------
         frames
-            The last observed frame, then any that follow it, as large as those that were sent. Of a
-            simulation: ``frames[3:]``. By default a dark background.
+            The last observed frame and later frames, of the size of the sent frames; for a
+            simulation ``frames[3:]``. By default a dark background.
         times_s
             Seconds after the last observed frame, of every frame; by default they follow each
             other as the forecast's steps do. Frames after its end are left out.
@@ -392,7 +392,7 @@ class Simulation(Generic[FramesT, SurfaceT]):
     positions: Float64[np.ndarray, "objects steps 2"]
     """Pixels."""
     angular_velocities: Float64[np.ndarray, "objects steps 3"]
-    """rad/s."""
+    """Angular velocities in rad/s."""
     times_s: Float64[np.ndarray, " steps"]
     """Seconds after index 0."""
     radii_px: Float64[np.ndarray, " objects"]

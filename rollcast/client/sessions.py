@@ -29,7 +29,7 @@ NOT_FOUND = 404
 
 @contextmanager
 def handshake() -> Generator[None]:
-    """Report a peer that talks or hangs up before it is asked as one that opens no session.
+    """Report a peer that sends bytes or disconnects before the request as one without sessions.
 
     ``websockets.sync`` raises ``InvalidMessage`` when the peer's bytes, or their end, arrive after
     the request was sent. Before that it raises ``ConnectionClosed``, or an assertion of its own
@@ -76,10 +76,11 @@ class TickAnswer:
     tick: int
     """Number of the frame, as ``send`` returned it."""
     status: TickStatus
-    """``collecting`` for the first three frames, ``forecast``, ``superseded`` if a newer frame
+    """Outcome: ``collecting`` for the first three frames, ``forecast``, ``superseded`` if a newer
+    frame
     arrived before the forecast from this one was begun, or ``refused``."""
     latency_ms: float
-    """From the receipt of the frame by the service to its answer."""
+    """Time from the receipt of the frame by the service to its answer."""
     forecast: Forecast | None
     """The forecast from this frame and the three before it, with the status ``forecast``."""
     error: ProblemError | None

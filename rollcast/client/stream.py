@@ -31,7 +31,7 @@ class StreamAssembler:
         kind = response.headers.get("content-type", "").partition(";")[0].strip().lower()
         if kind != EVENTS:
             raise unexpected(response, f"its content type is {kind!r}, expected {EVENTS!r}")
-        response.encoding = "utf-8"  # as that of every stream of events, whatever the header says
+        response.encoding = "utf-8"  # event streams are always UTF-8, regardless of the header
         self.forecast: Forecast | None = None
         """The whole forecast, once the stream has ended."""
         self._response = response

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rollcast.client.results import Forecast, Simulation
 
 Columns = dict[str, np.ndarray]
-"""Names, which end in the unit, and values."""
+"""Columns of a table: names, which end in the unit, and values."""
 
 
 def forecast_columns(forecast: "Forecast") -> Columns:

@@ -8,7 +8,7 @@
 >>> forecast.positions.shape
 (1, 20, 2)
 
-Its answers are valid, its forecasts those that a test chooses. Clients take any other transport of
+Its answers are valid, its forecasts chosen by the test. Clients take any other transport of
 ``httpx2`` as well. The real app needs neither a port nor a process, if its lifespan is run:
 
     app = create_app(Settings())

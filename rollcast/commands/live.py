@@ -50,9 +50,9 @@ class LiveFrame(NamedTuple):
 
     picture: UInt8[np.ndarray, "height width 3"]
     time_s: float
-    """By the camera's clock."""
+    """Time of exposure by the camera's clock."""
     arrived_s: float
-    """By this machine's clock."""
+    """Time of arrival by this machine's clock."""
 
 
 class LatestFrames:

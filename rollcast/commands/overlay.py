@@ -50,7 +50,7 @@ def _picture(observed: Footage, later_frames: LaterFrames, forecast: Forecast) -
 def _moments(
     observed: Footage, later_frames: LaterFrames, forecast: Forecast
 ) -> Iterator[Image.Image]:
-    """Draw the observed frames as they are, then the forecast over what really happened."""
+    """Draw the observed frames, then the forecast over the later frames."""
     now_s = float(observed.times_s[-1])
     taken = zip(observed.frames[:-1], observed.times_s[:-1].tolist(), strict=True)
     for index, (frame, taken_s) in enumerate(taken):

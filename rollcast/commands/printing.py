@@ -128,7 +128,7 @@ def _shown(crop: PictureCrop) -> str:
 
 
 def _balls(forecast: Forecast, crop: PictureCrop) -> list[str]:
-    """Say where each ball was seen in the last observed frame, and how surely."""
+    """Return position and confidence of each ball in the last observed frame."""
     if forecast.seen is None or forecast.scores is None:
         return []
     places = forecast.seen[:, -1] + (crop.x, crop.y, 0)

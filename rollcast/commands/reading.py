@@ -20,7 +20,7 @@ from rollcast.image_sequence import ImageSequence
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 
 LaterFrames = Callable[[Sequence[float]], Footage]
-"""Reads the frames of some times of the footage, seconds; those after its end are left out."""
+"""Reader of frames at given times of the footage, in seconds, without times after its end."""
 
 
 def read(
@@ -32,7 +32,7 @@ def read(
     wanted_rate: float = FRAME_RATE_HZ,
     told_rates: tuple[float, float] | None = None,
 ) -> tuple[Footage, LaterFrames]:
-    """Return the observed frames and what reads later ones, both by one resampler.
+    """Return the observed frames and a reader of later ones, both from one resampler.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Appearance of a window apart from the trajectory: balls, ground, light, clutter, camera, sensor.
+"""Appearance of a window: balls, ground, light, clutter, camera and sensor.
 
-A :class:`Appearance` stands beside a :class:`rollcast.scene.Scene`: the scene says what moves and
-how, the appearance what it looks like. Trajectories are expensive and reused, appearances are cheap
-and drawn anew for every training window. All randomness comes from the generator that is passed in;
-what is too fine to be listed (grain, texts, the places of spots) follows from the seeds in here.
+An :class:`Appearance` complements a :class:`rollcast.scene.Scene`, which describes the motion.
+Trajectories are expensive and reused; appearances are cheap and drawn anew for every training
+window. All randomness comes from the generator that is passed in; fine details (grain, texts,
+positions of spots) follow from the seeds in the appearance.
 
 Colours are RGB in 0..1, lengths are pixels of a 128-px frame unless a name says otherwise.
 """
@@ -20,7 +20,7 @@ BallPattern: TypeAlias = Literal[
     "plain", "two-tone", "striped", "octants", "numbered", "spots", "metallic", "glass", "disc"
 ]
 BALL_PATTERNS: tuple[BallPattern, ...] = get_args(BallPattern)
-"""``disc`` is a flat puck; metal and glass reflect and refract their surroundings."""
+"""Kind of ball: ``disc`` is a flat puck; metal and glass reflect and refract their surroundings."""
 
 GroundPattern: TypeAlias = Literal[
     "plain", "cloth", "wood", "paper", "checkers", "stripes", "lines", "gradient", "marble",
@@ -81,7 +81,7 @@ class Lamp:
     shadow: float
     """Darkening of the ground behind a ball, 0..1."""
     shadow_offset: float
-    """Offset of the shadow from the ball, ball radii."""
+    """Offset of the shadow from the ball, in ball radii."""
     shadow_softness: float
     """Width of a shadow's edge, ball radii."""
 
@@ -93,7 +93,7 @@ class Clutter:
     kind: ClutterKind
     color: RGB
     at: tuple[float, float]
-    """Its middle, or the tip of a hand or cue."""
+    """Position of the middle, or of the tip of a hand or cue."""
     size: float
     angle_rad: float
     velocity: tuple[float, float]
@@ -127,7 +127,7 @@ class Sensor:
     gains: RGB = (1.0, 1.0, 1.0)
     """Exposure and white balance."""
     offset: float = 0.0
-    """Added to intensities 0..1."""
+    """Offset on intensities 0..1."""
     gamma: float = 1.0
     contrast: float = 1.0
     saturation: float = 1.0
@@ -165,7 +165,7 @@ class Appearance:
     """Appearance of the prompted ball."""
     ground: GroundAppearance
     surroundings: GroundAppearance
-    """Beyond the rim or table."""
+    """Surroundings beyond the rim or table."""
     lamp: Lamp
     clutter: tuple[Clutter, ...]
     camera: CameraPose

@@ -24,8 +24,8 @@ STEP_RATE_HZ = 360
 STEPS_PER_FRAME = STEP_RATE_HZ // FRAME_RATE_HZ
 
 BALL_RESTITUTION = 0.7
-"""Between two balls (paper, section 3.1), unless the scene says otherwise; surfaces have none, and
-the walls of heightfields are elastic."""
+"""Restitution between two balls (paper, section 3.1) unless the scene sets it; surfaces have none,
+and the walls of heightfields are elastic."""
 
 GRAVITY_M_S2 = 9.81
 

@@ -69,7 +69,7 @@ class Materials(Protocol):
     ground: Float[np.ndarray, "size size 3"]
     """The lit scene without balls, intensities 0..1, float32."""
     ambient: Float[np.ndarray, "size size 3"]
-    """The same in full shadow of the area light; used where the scene has one."""
+    """Scene without balls in full shadow of the area light, if there is one."""
 
     def cast_shadow(
         self, image: Float[np.ndarray, "size size 3"], centre_px: np.ndarray, radius_px: float
@@ -102,7 +102,7 @@ class Renderer:
     Parameters
     ----------
     scene, camera
-        What is seen, and from where.
+        Scene and viewpoint.
     empty
         The scene without balls, when an earlier renderer's :attr:`empty` is at hand: shading it is
         most of the work. Edges of balls and shadows may then be off by one level.

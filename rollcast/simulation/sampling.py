@@ -3,7 +3,7 @@
 Tables are an addition to the paper: planes with or without cushions, sliding balls, spin.
 
 Every field is drawn whether or not the caller fixes it, so fixing one leaves the others' draws
-alone. What the paper leaves open is settled in docs/decisions/0014.
+unchanged. docs/decisions/0014 lists the choices that the paper leaves open.
 """
 
 import math
@@ -26,7 +26,7 @@ MAX_STARTS = 1000
 OUT_OF_VIEW_M = (-5.0, -5.0, 5.0, 5.0)
 """Walls of an open table."""
 MAX_TABLE_STARTS = 100
-"""The same on tables, where a start is acceptable unless balls overlap."""
+"""Maximum draws on tables, where a start is acceptable unless balls overlap."""
 
 
 WEDGED = 1.1

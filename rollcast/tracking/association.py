@@ -22,23 +22,23 @@ from rollcast.tracking.tracklets import LONGEST_GAP, Tracklet
 
 ROUNDS = 3
 BEGINNINGS = 2
-"""Sets of tracklets that palettes are begun with."""
+"""Number of sets of tracklets that initialise palettes."""
 OUTLIER_RATE = 0.02
 """Share of a ball's pixels that may have any colour: reflections, dirt."""
 COLOR_WEIGHT = 0.3
-"""Weight of a frame's colours: those of neighbouring frames say the same."""
+"""Weight of a frame's colours, which correlate with those of neighbouring frames."""
 SUREST = 4.0
-"""Most that one frame's colours say, in nats."""
+"""Maximum log likelihood ratio of one frame's colours, in nats."""
 CONTINUED = 12.0
 """Value, in nats, of a continuation along the velocity of the ball."""
 MAX_DRIFT = 0.6
 """Radii by which a ball may stray a frame while it is not seen."""
 SUCCESSORS = 3
-"""Tracklets that may continue one: those nearest to where it was going."""
+"""Maximum successors of a tracklet: the nearest ones to its extrapolated position."""
 GAP = 0.01
-"""Relative distance from the best assignment with which one is good enough."""
+"""Relative gap to the optimum at which the solver stops."""
 SOLVER_S = 30.0
-"""Time limit of one program; the best assignment until then counts."""
+"""Time limit of one program, whose best assignment so far is used."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from jaxtyping import Float, Float32, UInt8
 COLORED = 0.85
 """Part of the radius within which colours are a ball's own."""
 BINS = (4, 16, 16)
-"""Bins of lightness and of the two colour axes of CIE Lab."""
+"""Number of bins of lightness and of the two colour axes of CIE Lab."""
 BIN_WIDTHS = (64, 16, 16)
 COLORS = BINS[0] * BINS[1] * BINS[2]
 

@@ -22,13 +22,13 @@ from rollcast.tracking.colors import colors_at
 from rollcast.trajectory import OBSERVED_FRAMES
 
 SIDE_PX = 384
-"""Shorter side of the pictures that are looked at: patches have samples that far apart."""
+"""Shorter side of the pictures that are searched, the sample distance of patches."""
 IN_FLIGHT = 3
-"""Windows that are asked for at once."""
+"""Number of windows in one request."""
 LEAST_SCORE = 0.25
-"""Score from which on a candidate is a detection."""
+"""Minimum score of a detection."""
 SEEN = 0.5
-"""Confidence from which on a frame shows a ball."""
+"""Minimum confidence that a frame shows a ball."""
 
 
 class Finder(Protocol):
@@ -55,7 +55,7 @@ class Detections:
 
 
 class SeenFrame(NamedTuple):
-    """A frame of the clip and what it shows."""
+    """Frame of the clip and its detections."""
 
     number: int
     time_s: float

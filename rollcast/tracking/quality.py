@@ -10,7 +10,7 @@ from rollcast.tracking.tracks import Tracks
 NEAR = 2.6
 """Radii between the centres of balls that may be mistaken for each other."""
 JUMP = 3.0
-"""Radii by which a ball is farther than it was going, for it to have jumped."""
+"""Minimum distance of a jump from the extrapolated position, in radii."""
 
 
 class Gap(BaseModel):
@@ -57,9 +57,9 @@ class Quality(BaseModel):
 
     clip: str
     frames: int
-    """Number of frames without those that repeat the one before."""
+    """Number of frames, without repeated ones."""
     repeated: int = 0
-    """Frames that repeat the one before, which are left out."""
+    """Number of frames that repeat the previous one."""
     seconds: float
     frame_rate: float
     found: float

@@ -6,11 +6,11 @@ from jaxtyping import Bool, Float
 from pykalman import KalmanFilter
 
 SURPRISE = 4.0
-"""Standard deviations of a second difference from which a ball was pushed."""
+"""Minimum second difference at a push, in standard deviations."""
 PUSH = 1e4
-"""By which the variance of a velocity grows in a push."""
+"""Factor on the variance of the velocity at a push."""
 LONGEST_GAP_S = 0.25
-"""After a longer one a ball is followed anew."""
+"""Longest gap, in seconds, within which one filter follows a ball."""
 LEAST_NOISE_PX = 0.05
 
 

@@ -59,9 +59,9 @@ def track(
     finder
         Perception of a model.
     balls
-        How many there are; None counts those that move.
+        Number of balls; None counts the moving balls.
     crop
-        A square of the picture that all balls stay in; None looks everywhere.
+        Square of the picture that contains all balls at all times; None searches everywhere.
     like
         Palettes of another clip of the same balls, whose order is kept; None orders them by hue.
     name
@@ -105,7 +105,7 @@ def track(
 
 
 class _ClipReader:
-    """Reader of a clip, which reads it once and keeps frame numbers and times."""
+    """Single pass over a clip, with the data that later steps need."""
 
     def __init__(self, source: FrameSource, crop: SquareCrop | None) -> None:
         self._source = source

@@ -14,9 +14,9 @@ from rollcast.tracking.finder import Detections
 FARTHEST = 5.0
 """Radii from where a ball is expected, beyond which it is another one."""
 COLOR_COST = 3.0
-"""Cost of colours that have nothing in common, as much as so many radii."""
+"""Cost of disjoint colours, as a distance in radii."""
 CLEARER = 1.0
-"""By which the next best pair has to cost more; else both end and are joined later."""
+"""Minimum extra cost of the second-best pair; below it both tracklets end and are joined later."""
 HISTORY = 4
 """Frames from which a velocity is known."""
 MOVES = 1.5
@@ -26,7 +26,7 @@ CONTINUES = 1.5
 LONGEST_GAP = 30
 """Frames between such tracklets."""
 FEWEST_FRAMES = 4
-"""Frames of a tracklet that is no chance detection."""
+"""Minimum length of a tracklet; shorter ones count as false alarms."""
 
 
 @dataclass
@@ -138,7 +138,7 @@ def _continues(before: Tracklet, after: Tracklet) -> bool:
 def _joined(
     going: Sequence[Tracklet], before: Float[np.ndarray, "going colors"], found: Detections
 ) -> dict[int, int]:
-    """Return the detection of each tracklet that surely goes on, in the order of the tracklets."""
+    """Return the unambiguous detection of each tracklet, in the order of the tracklets."""
     if not len(found.positions_px) or not going:
         return {}
     expected = np.stack([p.positions_px[-1] + p.velocity_px(at_end=True) for p in going])

@@ -55,7 +55,7 @@ class Tracks:
     colors
         Mean colour of each ball, as ``#rrggbb``; their order is that of the balls.
     frames
-        Numbers of the clip's frames, from 0; those that repeat the one before are left out.
+        Numbers of the clip's frames, from 0, without repeated frames.
     times_s
         Seconds after the clip's first frame.
     positions_px

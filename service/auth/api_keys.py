@@ -41,7 +41,7 @@ log = logging.getLogger(__name__)
 class Key(BaseModel):
     """A key, of which only the hash is known."""
 
-    # Whoever takes a key for its hash, or its name, shall not find it in a log.
+    # A key in place of its hash or name must not appear in a log.
     model_config = ConfigDict(frozen=True, extra="forbid", hide_input_in_errors=True)
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,64}$")]

@@ -7,7 +7,7 @@ from starlette.requests import HTTPConnection
 
 from service.auth.api_keys import ApiKeyStore, Key, Scope
 from service.errors import ForbiddenError, OriginError, UnauthorizedError
-from service.http.problem_details import PROTOCOL_PATH
+from service.http.oip.schemas import PROTOCOL_PATH
 from service.state import ServiceState
 
 OPEN_PATHS = frozenset(
@@ -50,7 +50,7 @@ async def check_access(request: HTTPConnection, service: ServiceState) -> None:
     TooManyRequestsError
         If the client exceeds its rate limit.
     """
-    # The route's own path: what a proxy puts before it does not matter.
+    # The route's own path, without the prefix of a proxy.
     scope = scope_for(request.scope["route"].path)
     if scope is None:
         return

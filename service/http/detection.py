@@ -15,14 +15,14 @@ from service.serving.registry import ModelQuery, Registry
 
 
 class Detection:
-    """A job of the scheduler that answers where balls are seen.
+    """Job of the scheduler that detects balls.
 
     Parameters
     ----------
     parse
-        Returns the parsed request; calls what it is given now and then, to be interrupted.
+        Parser of the request, which calls its argument regularly as a check for cancellation.
     token
-        Ends the work on a request whose answer is not needed any more.
+        Cancels the work when the client has disconnected.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class Detection:
         self._answer: str | None = None
 
     def begin(self) -> Decoding:
-        """Find the balls, or return what does so if decoding the frames is slow.
+        """Detect the balls, or return a function that does so if decoding the frames is slow.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Balls that were found or asked for, between a request's pixels and a model's square."""
+"""Detected or prompted balls, between the pixels of a request and the square of a model."""
 
 import math
 from collections.abc import Sequence
@@ -16,9 +16,9 @@ from service.inference.ball_predictor import BallPredictor, FoundBalls
 from service.inference.rollout import ForecastArrays
 
 SURE = 0.5
-"""Score from which on a ball is taken to be there."""
+"""Minimum score of a ball without a warning."""
 UNCERTAIN_RADII = 0.5
-"""Standard deviation of a ball's place, in its radii, from which on an answer warns."""
+"""Maximum standard deviation of a ball's position, in its radii, without a warning."""
 
 
 LEVEL_STEPS = 20
@@ -32,9 +32,9 @@ class RequestBalls:
     Parameters
     ----------
     model
-        Finds them.
+        Model that finds the balls.
     frames
-        As they were sent.
+        Frames of the request.
     prompts
         Points of the last frame, or None.
     objects
@@ -47,7 +47,7 @@ class RequestBalls:
     Raises
     ------
     InvalidValueError
-        When a prompt lies outside the frames, or fewer balls are found than are wanted.
+        When a prompt lies outside the frames, or fewer balls than requested are found.
     """
 
     def __init__(
@@ -66,10 +66,14 @@ class RequestBalls:
         source = model.manifest.kinematic
         assert source is not None
         self._level_slope = source.level_slope
-        self._level_steps = math.ceil(LEVEL_STEPS / spacing)
         # Changes of velocity are random: their variances add up.
         self._acceleration_ratio = source.acceleration_ratio * math.sqrt(spacing)
-        self._kinematic = self._path(steps)
+        level_steps = math.ceil(LEVEL_STEPS / spacing)
+        path = self._path(np.concatenate([np.arange(level_steps), steps]))
+        self._level_path = path.positions[:, :level_steps]
+        self._kinematic = KinematicForecast(
+            path.positions[:, level_steps:], path.covariances[:, level_steps:]
+        )
 
     @property
     def count(self) -> int:
@@ -95,7 +99,7 @@ class RequestBalls:
         )
 
     def _path(self, steps: Float[np.ndarray, " T"]) -> KinematicForecast:
-        """Balls that go on as they went, at times in frames after the last one."""
+        """Return the kinematic forecast at times in frames after the last one."""
         balls = self.found.balls
         places, sigmas = HALF + HALF * balls.places, HALF * np.exp(balls.log_sigmas)
         return kinematic_forecast(places, sigmas, self._acceleration_ratio, steps)
@@ -103,13 +107,12 @@ class RequestBalls:
     @property
     def on_level_ground(self) -> list[bool]:
         """True for balls whose kinematic path lies on level ground, according to the model."""
-        paths = self._path(np.arange(self._level_steps)).positions / HALF - 1
-        slopes = mean_slopes(self.found.said["ground"][0], paths)
+        slopes = mean_slopes(self.found.said["ground"][0], self._level_path / HALF - 1)
         return (slopes < self._level_slope).tolist()
 
     @property
     def scores(self) -> list[float]:
-        """How surely each ball is there."""
+        """Confidence of presence of each ball."""
         return [round(score, 4) for score in self.found.balls.scores.tolist()]
 
     @property
@@ -168,12 +171,12 @@ def _warnings(ball: SeenBall, score: float, spread: float) -> list[str]:
     where = f"({ball.x:.1f}, {ball.y:.1f})"
     if score < SURE:
         return [
-            f"No ball is seen surely at {where}: the score of {score:.2f} is below {SURE}. "
-            "The forecast may be of something else."
+            f"Uncertain detection of a ball at {where}: the score of {score:.2f} is below {SURE}. "
+            "The forecast may follow another object."
         ]
     if spread > UNCERTAIN_RADII:
         return [
-            f"The place of the ball at {where} is known to {spread:.2g} radii only: "
-            "the forecast may be far off."
+            f"The position of the ball at {where} has a standard deviation of {spread:.2g} radii: "
+            "the forecast may have large errors."
         ]
     return []

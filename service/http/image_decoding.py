@@ -47,7 +47,7 @@ TURNS: Mapping[int, Image.Transpose] = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""Transpositions that turn a picture upright, by its EXIF orientation."""
+"""Transposition that turns a picture upright, by its EXIF orientation."""
 DECODER_ERRORS = (
     EOFError,
     IndexError,
@@ -60,10 +60,10 @@ DECODER_ERRORS = (
     struct.error,
     zlib.error,
 )
-"""Exceptions of Pillow for damaged files."""
+"""Exceptions that Pillow raises on damaged files."""
 
 Check = Callable[[], None]
-"""Raises when the result is no longer awaited."""
+"""Function that raises when the request is cancelled."""
 
 
 class _Source(io.BytesIO):
@@ -111,11 +111,11 @@ READERS: Mapping[bytes, type[ImageFile.ImageFile]] = {
     START_OF_JPEG: _Jpeg,
     b"RIFF": WebPImageFile,
 }
-"""The formats that are read, by what their files begin with."""
+"""Supported formats by the first bytes of their files."""
 
 
 class OpenedFrames:
-    """The frames of one request, of which the headers alone have been read.
+    """The frames of one request, after their headers have been read.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ class OpenedFrames:
     fields
         Name of each in the request, for messages.
     check
-        Called between pieces of the work; what it raises ends the decoding.
+        Called between pieces of the work; its exception ends the decoding.
 
     Raises
     ------
@@ -189,7 +189,7 @@ class OpenedFrames:
         BrokenImageError, InvalidValueError
             With the field at fault.
         """
-        # The pixels decide: a photo may be turned by what its header says.
+        # The size after decoding counts: the header of a photo may rotate it.
         frames = [self._files.pop(0).whole() for _ in self._sizes]
         _require_one_size([(frame.shape[1], frame.shape[0]) for frame in frames])
         return np.stack(frames)
@@ -374,7 +374,7 @@ def _orientation(info: Mapping[Any, Any]) -> int:
 def _to_network_size(image: Image.Image) -> UInt8[np.ndarray, "128 128 3"]:
     """Average areas when shrinking, interpolate when enlarging.
 
-    Pillow's box filter counts a pixel wholly or not at all, which shifts what is small by up to
+    Pillow's box filter counts a pixel wholly or not at all, which shifts small details by up to
     half a pixel, so areas are averaged here unless whole pixels fill them.
     """
     factor, rest = divmod(image.width, NETWORK_FRAME_SIZE)

@@ -78,7 +78,7 @@ class _Forecast(ABC):
     Parameters
     ----------
     parse
-        Returns the parsed request; calls what it is given now and then, to be interrupted.
+        Parser of the request, which calls its argument regularly as a check for cancellation.
     token
         Cancels the work when the client has disconnected.
     """
@@ -117,7 +117,7 @@ class _Forecast(ABC):
         """Warnings of the model that forecasts."""
 
     def begin(self) -> Decoding:
-        """Choose the model and decode the frames, or return what decodes them if that is slow.
+        """Choose the model and decode the frames, or return a function that decodes large ones.
 
         Raises
         ------
@@ -248,7 +248,7 @@ class _Forecast(ABC):
         )
 
     def take(self, outputs: Outputs) -> Decoding | None:
-        """Take the next steps of the model; by the first one, another model may begin anew.
+        """Take the next steps of the model; after the first one, another model may replace it.
 
         Raises
         ------
@@ -270,7 +270,7 @@ class _Forecast(ABC):
         """Take the next steps of the forecast."""
 
     def _if_lost(self, outputs: Outputs) -> Decoding | None:
-        """Warn of balls that were not found; let the model for OOD frames look for them."""
+        """Warn of lost balls, or return the decoding for the model for OOD frames."""
         known = self.manifest.place_uncertainty
         if known is None:
             return None
@@ -448,7 +448,7 @@ class StreamedForecast(_Forecast):
             )
 
     def finish(self) -> None:
-        """Hand over what is no step."""
+        """Emit the final event, with the fields that belong to no step."""
         self._emit(
             StreamDone(
                 **dict(self.summary(self._first)),

@@ -30,13 +30,11 @@ from service.errors import (
     TooManyRequestsError,
     UnauthorizedError,
 )
-from service.http.oip.schemas import InferError
+from service.http.oip.schemas import PROTOCOL_PATH, InferError
 from service.http.security_headers import ALWAYS, NOTHING_RUNS, POLICY
 from service.observability.log_config import REQUEST_ID_HEADER, request_id
 
 MEDIA_TYPE = "application/problem+json"
-PROTOCOL_PATH = "/v2"
-"""Root of the Open Inference Protocol."""
 PASSING = (
     QueueFullError,
     NotReadyError,
@@ -45,9 +43,9 @@ PASSING = (
     TooManyBodiesError,
     OutOfMemoryError,
 )
-"""Rejections that end by themselves; they carry a Retry-After header."""
+"""Temporary errors, whose responses have a Retry-After header."""
 RETRY_AFTER_S = 1
-"""Seconds in that header, the least that it can say: a forecast takes a fraction of that."""
+"""Seconds in that header, its minimum; a forecast takes a fraction of that."""
 LONGEST_VALUE = 100
 """Characters of a wrong value that are sent back."""
 LONGEST_DETAIL = 600
@@ -131,7 +129,7 @@ async def _answer(request: Request, error: Exception) -> Response:
             headers.update(error.headers or {})
         case _:
             problem = _problem(error)
-            # What adds these to every other answer is not asked when a route fails.
+            # The middleware that adds these headers does not see responses to unhandled errors.
             headers |= ALWAYS | {POLICY: NOTHING_RUNS}
             if (failed := request_id()) is not None:
                 headers[REQUEST_ID_HEADER] = failed

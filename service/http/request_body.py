@@ -42,15 +42,15 @@ MAX_PARTS = 32
 MAX_TEXT_PART_BYTES = 4096
 FILES = frozenset({"frames", "final_frame"})
 LISTS = frozenset({"frames"})
-"""Parts of a form that are files, and those that may come several times."""
+"""Parts of a form that are files, and parts that may be repeated."""
 PIECE_BYTES = 64 * 1024
 """Bytes of a form that are parsed before its parser may be interrupted."""
 
 B = TypeVar("B", bound=BaseModel)
 R = TypeVar("R", bound=RequestBody)
 Parser: TypeAlias = Callable[[Callable[[], None]], tuple[R, list[str]]]
-"""Parses a body with frames; returns the request and the names of its files, as far as they are
-given. It calls its argument now and then, to be interrupted."""
+"""Function from a check for cancellation, which it calls regularly, to the parsed request and the
+names of its files, where given."""
 Body = bytes | bytearray
 
 
@@ -151,7 +151,7 @@ def parse_json(body: Body, model: type[B], max_values: int = MAX_VALUES) -> B:
     body
         UTF-8 text.
     model
-        What it describes.
+        Model of the body.
     max_values
         Largest number of values and lists.
 
@@ -210,13 +210,13 @@ def parse_form(
     content_type
         The header, with the boundary.
     model
-        What the body describes.
+        Model of the body.
     files
         Names of the parts that are files; they need no file name.
     lists
-        Names of the parts that may come several times.
+        Names of the parts that may be repeated.
     check
-        Called now and then; what it raises ends the parsing.
+        Called regularly; its exception ends the parsing.
 
     Returns
     -------
@@ -362,6 +362,6 @@ def _validate(model: type[B], data: object, *, strict: bool | None) -> B:
         return model.model_validate(data, strict=strict)
     except ValidationError as error:
         refusal = invalid_values(error.errors(include_url=False))
-    # Not from the error: it is no Python object, and holds the frames that led to it, and with them
-    # the body and this request, where the garbage collector does not see that nobody else does.
+    # Not from the error, which is no Python object: it references the stack frames that led to it,
+    # and thereby body and request, in a cycle that the garbage collector cannot find.
     raise refusal

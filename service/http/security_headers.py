@@ -7,7 +7,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rollcast.schemas import REPLICA_HEADER, REQUEST_ID_HEADER
 from service.http.oip.tensors import LENGTH_HEADER
-from service.inference.deadlines import TIMEOUT_HEADER
+from service.http.timeout import TIMEOUT_HEADER
 
 ALWAYS = {
     "X-Content-Type-Options": "nosniff",

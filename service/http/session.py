@@ -56,7 +56,7 @@ class _Tick:
     number: int
     received: float
     collecting: bool = False
-    """True if fewer than four frames had arrived."""
+    """AppState before the fourth frame."""
     refusal: ServiceError | None = None
     """Reason for which the frame was not taken."""
 
@@ -99,7 +99,7 @@ class ForecastSession:
 
     async def run(self) -> None:
         """Answer until the client leaves or the service drains."""
-        # A client that has gone is no failure: nobody is there to be answered.
+        # A disconnected client is no error: there is no response to send.
         with self._service.session(), suppress(WebSocketDisconnect):
             try:
                 if await self._open():

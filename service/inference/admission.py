@@ -79,7 +79,7 @@ class AbandonableExecutor(Protocol):
         ...
 
     def close(self) -> None:
-        """End the executor and what it runs."""
+        """End the executor and its running calls."""
         ...
 
 
@@ -128,5 +128,5 @@ class Workers:
         self._admission.release()
 
     def close(self) -> None:
-        """End the executor, and drop what waits."""
+        """End the executor and drop waiting calls."""
         self._executor.close()

@@ -54,7 +54,7 @@ class GraphSession(Protocol):
 
 @dataclass(frozen=True)
 class FoundBalls:
-    """The balls of one request, and what begins its rollout."""
+    """The balls of one request, with the inputs of its rollout."""
 
     balls: Balls
     said: Said
@@ -113,7 +113,7 @@ class BallPredictor:
         radii
             Of the prompts, NaN where it is not known.
         objects
-            Balls that are wanted without prompts; None takes those that move, at least one.
+            Number of balls without prompts; None selects the moving balls, at least one.
         spacing
             Time between two frames, in steps of the rollout.
 
@@ -145,7 +145,7 @@ class BallPredictor:
         *,
         two_cores: bool = False,  # noqa: ARG002
     ) -> Step:
-        """Return the first state of the manifest's number of balls, those that move most surely."""
+        """Return the initial state of the manifest's number of balls, by confidence of motion."""
         objects = self.manifest.objects
         found = [self.find(each[:OBSERVED_FRAMES], objects=objects) for each in frames]
         return self.rollout(objects).encode(np.concatenate([one.packed for one in found]))
@@ -225,7 +225,7 @@ class BallRollout(Predictor):
 
 
 def _wanted(balls: Balls, objects: int | None, most: int) -> np.ndarray:
-    """Index of the balls that a request without prompts means, those that move first."""
+    """Return the indices of the balls of a request without prompts, moving balls first."""
     if objects is None:
         return moving_balls(balls, most)
     order = by_motion(balls)

@@ -25,9 +25,9 @@ class HeldBody:
 class BodyBudget:
     """Counts the bytes of all bodies from their arrival until their requests have been parsed.
 
-    Over the limit, the largest of those that can be given up is given up: bodies and messages that
-    are still arriving, and the frames that sessions hold. Many large uploads that never end cost
-    their senders, and leave room for requests of the usual size.
+    Over the limit, the largest evictable body is evicted: a body or message that is still arriving,
+    or the frames of a session. Large uploads that never end therefore leave room for requests of
+    the usual size.
 
     Parameters
     ----------

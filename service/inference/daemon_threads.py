@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 async def run_in_daemon_thread(call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-    """Return what a call returns, made in a daemon thread of its own."""
+    """Run a call in a daemon thread of its own and return its result."""
     future: Future[T] = Future()
 
     def run() -> None:

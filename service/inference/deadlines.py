@@ -1,6 +1,6 @@
-"""Deadlines of forecasts, and the cancellation of those whose client has disconnected.
+"""Deadlines of forecasts, and cancellation when the client disconnects.
 
-A rollout asks between two steps whether it is still wanted, so its worker is free within one step.
+A rollout checks for cancellation between steps, so its worker is free within one step.
 """
 
 import asyncio
@@ -10,16 +10,10 @@ from contextlib import suppress
 from typing import TypeVar
 
 from fastapi import Request
-from starlette.requests import HTTPConnection
 
-from service.errors import DeadlineExceededError, InvalidValueError
-from service.settings import Settings
+from service.errors import DeadlineExceededError
 
 T = TypeVar("T")
-
-TIMEOUT_HEADER = "x-request-timeout-ms"
-CLIENT_CLOSED_REQUEST = 499
-"""Status of an answer whose client has gone: for the log only."""
 
 
 class ClientGoneError(Exception):
@@ -50,27 +44,10 @@ class CancellationToken:
             raise ClientGoneError
 
 
-def timeout_s(request: HTTPConnection, settings: Settings) -> float:
-    """Seconds that a request may take: what its header asks for, at most what the settings allow.
-
-    Raises
-    ------
-    InvalidValueError
-        When the header is not a whole number of milliseconds.
-    """
-    text = request.headers.get(TIMEOUT_HEADER)
-    if text is None:
-        return settings.deadline_s
-    if not (text.isascii() and text.isdigit() and 1 <= len(text) <= 9 and int(text) > 0):
-        expected = "a whole number of milliseconds, 1 to 999999999"
-        raise InvalidValueError.at(TIMEOUT_HEADER, text, expected)
-    return min(int(text) / 1000, settings.deadline_s)
-
-
 async def answered(
     request: Request, timeout: float | None, submit: Callable[[CancellationToken], Future[T]]
 ) -> T:
-    """Submit a call and return what it returns; without a timeout it may take any time.
+    """Submit a call and return its result; without a timeout, the time is unlimited.
 
     Raises
     ------
@@ -127,7 +104,7 @@ async def streamed(
     timeout: float,
     submit: Callable[[CancellationToken, Callable[[T], object]], Future[None]],
 ) -> AsyncGenerator[T]:
-    """Submit a call and yield what it hands over, as it comes, until the client goes away.
+    """Submit a call and yield its events as they arrive, until the client disconnects.
 
     Raises
     ------

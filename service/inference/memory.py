@@ -19,8 +19,8 @@ KEPT_BYTES = 2 * OWN_MAPPING_BYTES
 def return_freed_memory() -> None:
     """Let large blocks (bodies, pixels) go back to the system as soon as they are freed.
 
-    By itself, glibc raises both thresholds with the first large block that is freed, and keeps what
-    comes later. Other systems' libraries have no such option, and nothing is done there.
+    By default, glibc raises both thresholds when the first large block is freed, and keeps later
+    blocks. Without glibc this function has no effect.
     """
     mallopt: Any = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:

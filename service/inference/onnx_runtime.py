@@ -32,7 +32,7 @@ keep_runtime_silent()
 import onnxruntime  # noqa: E402
 
 PERCEPTION_CORES = min(2, cpu_count())
-"""Cores that may see the frames of one request: more were not measured (decision 0113)."""
+"""Maximum cores of the perception of one request (decision 0113)."""
 
 
 class _SharedPerception:
@@ -143,7 +143,7 @@ def check_provider(provider: str) -> None:
     Raises
     ------
     ValueError
-        If it does not; the message names those that it has.
+        If it does not; the message names the available providers.
     """
     installed = onnxruntime.get_available_providers()
     if provider not in installed:
@@ -185,7 +185,7 @@ def _session(
     options.enable_mem_reuse = reuse
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
-    options.log_severity_level = 3  # errors: its warnings speak to those who export
+    options.log_severity_level = 3  # errors only: warnings concern the export
     # Threads that wait for each other hundreds of times a run spin meanwhile, and no longer.
     options.add_session_config_entry("session.intra_op.allow_spinning", str(int(threads > 1)))
     options.add_session_config_entry("session.force_spinning_stop", "1")

@@ -27,7 +27,7 @@ class Predictor(Protocol):
 
     manifest: Manifest
     ood_detector: OodDetector | None
-    """Statistics of its training frames; None for models without them."""
+    """Statistics of the training frames; None for models without them."""
 
     def encode(
         self, frames: UInt8[np.ndarray, "B K 128 128 3"], *, two_cores: bool = False

@@ -1,11 +1,11 @@
 """Forecasts on a few threads: waiting frames are encoded together, and rollouts step together.
 
-A thread takes what is there in this order: answers to write, frames to encode, a rollout to lead.
-Threads share the waiting frames out, a few in one batch. The thread that leads a rollout steps all
-requests that have joined it, so while frames wait the next rollout grows, and the price of a step
-is shared. Steps are taken a few at a time; requests join and leave in between.
+A thread chooses its work in this order: responses to write, frames to encode, a rollout to lead.
+Threads divide the waiting frames into batches. The thread that leads a rollout steps all requests
+that have joined it, so the next rollout grows while frames are encoded, and requests share the cost
+of a step. Steps are taken a few at a time; requests join and leave in between.
 
-Large images are decoded in threads of their own: they never keep small requests waiting.
+Large images are decoded in separate threads, so small requests do not wait for them.
 """
 
 import math
@@ -59,7 +59,7 @@ class Job(Protocol[T_co]):
     """
 
     def begin(self) -> Decoding:
-        """Choose the model and decode the frames, or return what decodes them if that is slow."""
+        """Choose the model and decode the frames, or return a function that decodes large ones."""
         ...
 
     def take(self, outputs: Outputs) -> Decoding | None:
@@ -173,7 +173,7 @@ class _Batch:
         self.members = [*self.members, *others.members]
 
     def take(self, outputs: Outputs, steps: int) -> list[_Request[Any]]:
-        """Give every member its rows of steps' outputs; return those that have ended, let go."""
+        """Give every member its rows of steps' outputs; remove and return ended members."""
         shares = zip(self.members, self._shares(outputs), strict=True)
         going_on = [member for member, share in shares if member.take(share, steps)]
         ended = [member for member in going_on if member.ended]
@@ -221,11 +221,11 @@ class _Rollout:
 
     @property
     def rows(self) -> int:
-        """Forecasts in it, those that join with the next step included."""
+        """Number of forecasts, including those of requests that join with the next step."""
         return self.here.rows + sum(arrived.rows for arrived in self.pending)
 
     def advance(self) -> list[_Request[Any]]:
-        """Take steps of all requests that are not cancelled; return those that have ended."""
+        """Take steps of all requests that are not cancelled; return ended requests."""
         here = self.here
         here.keep([m for m in here.members if m.fail_safely(m.token.raise_if_cancelled)])
         if not here.members:
@@ -234,7 +234,7 @@ class _Rollout:
         steps = min(STEPS_TOGETHER, max(m.horizon - m.steps for m in here.members))
         try:
             here.state, outputs = self.predictor.advance(here.state, steps)
-        except BaseException as error:  # whatever the runtime raises
+        except BaseException as error:  # any exception of the runtime
             here.fail(error)
             return []
         return here.take(outputs, steps)
@@ -246,15 +246,15 @@ class Scheduler:
     Parameters
     ----------
     threads
-        As many as there are cores: each computes all the time.
+        Number of computing threads, usually that of the cores.
     capacity
-        Requests that it may hold.
+        Maximum number of requests, waiting ones included.
     max_batch
-        Forecasts with which a rollout begins although more frames wait.
+        Number of forecasts at which a rollout begins although more frames wait.
     shown
-        Follows the number of requests held.
+        Gauge of the number of requests.
     batches
-        Returns what is told, whenever a rollout takes steps, how many forecasts step together.
+        Factory of the callback that receives the number of forecasts of every call of a rollout.
     """
 
     def __init__(
@@ -311,7 +311,7 @@ class Scheduler:
         self._admission.release()
 
     def close(self) -> None:
-        """Let rollouts end, drop what waits; a thread inside a long call is not waited for."""
+        """Finish rollouts and cancel waiting requests; do not wait for threads in long calls."""
         with self._lock:
             self._closed = True
             dropped, self._waiting = self._waiting, deque()
@@ -325,7 +325,7 @@ class Scheduler:
             thread.join(max(0, ends - time.monotonic()))
 
     def _wake(self, threads: int) -> None:
-        """Wake threads that rest, under the lock; the last to rest first: its caches are warm."""
+        """Wake idle threads, under the lock: the latest one first, because its caches are warm."""
         for _ in range(min(threads, len(self._resting))):
             self._resting.pop().release()
 
@@ -344,7 +344,7 @@ class Scheduler:
                 act()
 
     def _choose(self) -> Callable[[], None] | None:
-        """Choose what to do next, under the lock."""
+        """Choose the next work, under the lock."""
         if self._ended:
             return self._ended.popleft().finish
         free = [rollout for rollout in self._rollouts.values() if not rollout.led]
@@ -361,7 +361,7 @@ class Scheduler:
         return lambda: self._lead(chosen)
 
     def _next_waiting(self, room: int) -> list[_Request[Any]]:
-        """Take a thread's share of what waits, under the lock, but not more than there is room."""
+        """Take a thread's share of the waiting requests, under the lock, at most ``room``."""
         share = math.ceil(len(self._waiting) / len(self._threads))
         taken = [self._waiting.popleft() for _ in range(min(share, ENCODED_TOGETHER, room))]
         return [
@@ -401,7 +401,7 @@ class Scheduler:
             try:
                 frames = parts[0] if len(parts) == 1 else np.concatenate(parts)
                 step = predictor.encode(frames, two_cores=two_cores)
-            except BaseException as error:  # whatever the runtime raises
+            except BaseException as error:  # any exception of the runtime
                 together.fail(error)
                 continue
             together.state = step.state
@@ -443,13 +443,13 @@ class Scheduler:
                 return
 
     def _hand_over(self, rollout: _Rollout, ended: list[_Request[Any]]) -> bool:
-        """Leave answers to threads that rest; return whether the rollout is still to be led."""
+        """Leave responses to idle threads; return whether the rollout still needs a leader."""
         with self._lock:
             self._ended.extend(ended)
             if self._resting and (rollout.here.members or rollout.pending):
                 self._wake(len(ended))
                 return True
-            # Who leads no more writes an answer next.
+            # A thread that stops leading writes a response next.
             rollout.led = False
             self._wake(len(ended) - 1)
             return False

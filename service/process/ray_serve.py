@@ -59,7 +59,7 @@ class Replica:
 
     def __init__(self, settings: dict[str, Any]) -> None:
         name = serve.get_replica_context().replica_id.unique_id
-        # Ray Serve keeps requests waiting; what it passes on is never refused.
+        # Ray Serve queues requests; the replica never refuses a request that it receives.
         held: dict[str, Any] = dict.fromkeys(QUEUES, MAX_ONGOING)
         self._settings = Settings(**held | settings, replica=name)
         dictConfig(configuration(self._settings.log_format, self._settings.log_requests))

@@ -1,9 +1,9 @@
 """Several worker processes on one listening socket, kept running by uvicorn's supervisor.
 
-Every worker accepts connections by itself and has its own models, threads and simulator. The
-supervisor starts the workers, pings them, replaces those that end or do not answer, and stops them
-all in a bounded time. Workers share no messages: models that are loaded or unloaded stand in a file
-(``service.serving.model_changes``), metrics in memory-mapped files (decision 0132).
+Every worker accepts connections and has its own models, threads and simulator. The supervisor
+starts the workers, pings them, replaces workers that exit or do not respond, and stops them all in
+a bounded time. Workers exchange no messages: a file lists loaded and unloaded models
+(``service.serving.model_changes``), and memory-mapped files hold the metrics (decision 0132).
 """
 
 import logging
@@ -192,7 +192,7 @@ class Supervisor(Multiprocess):
             worker.process.terminate()
 
     def join_all(self) -> None:
-        """Wait for the workers, for the stop timeout and a margin; then kill those that remain."""
+        """Wait for the workers, for the stop timeout and a margin; then kill the remaining ones."""
         deadline = (
             time.monotonic() + self._settings.graceful_shutdown_timeout_s + 2 * SHUTDOWN_MARGIN_S
         )

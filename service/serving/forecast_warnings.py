@@ -1,4 +1,4 @@
-"""Reasons to trust a forecast less, in words for people."""
+"""Warnings of forecasts: horizon, frame rate, motion, lost balls, distribution."""
 
 from rollcast.footage import is_among
 from rollcast.manifest import Manifest, PlaceUncertainty
@@ -13,7 +13,7 @@ def limit_warnings(
     frame_rate: float,
     seen: FrameStats,
 ) -> list[str]:
-    """Return the warnings of a forecast from frames with some statistics, but for their looks."""
+    """Return the warnings of a forecast, except that of out-of-distribution frames."""
     manifest = predictor.manifest
     return [
         *_of_horizon(manifest, horizon, frame_spacing(manifest, frame_rate)),
@@ -31,7 +31,7 @@ def replaced(chosen: Manifest, used: Manifest) -> str:
 
 
 def lost_ball(manifest: Manifest, known: PlaceUncertainty, sigma_px: float) -> list[str]:
-    """Return the warning of a ball that a model has not found surely, if it has not.
+    """Return the warning of a ball whose position at t = 0 is uncertain, if it is.
 
     Parameters
     ----------
@@ -42,16 +42,16 @@ def lost_ball(manifest: Manifest, known: PlaceUncertainty, sigma_px: float) -> l
         return []
     percent = 100 * known.false_alarm_rate
     return [
-        f"{manifest.label} has not found a ball surely: the standard deviation of its place at "
-        f"t = 0 is {sigma_px:.2g} px of 128, above {known.threshold_px:.2g} (false-alarm rate "
-        f"{percent:.2g} %). The forecast may be of something else."
+        f"{manifest.label} may have lost a ball: the standard deviation of its position at t = 0 "
+        f"is {sigma_px:.2g} px of 128, above {known.threshold_px:.2g} (false-alarm rate "
+        f"{percent:.2g} %). The forecast may follow another object."
     ]
 
 
 def left_frame(step: int) -> str:
     """Return the warning of a ball whose forecast leaves the frame."""
     return (
-        f"The forecast leaves the frame at step {step}: nothing is known of what lies outside, and "
+        f"The forecast leaves the frame at step {step}: the model has no data beyond it, and "
         "later positions stay within a tenth of the frame around it."
     )
 
@@ -85,7 +85,7 @@ def _of_rate(manifest: Manifest, given: float) -> list[str]:
         ]
     return [
         f"The frames are {given:g} a second and {manifest.label} was trained on "
-        f"{rate:g}: the forecast assumes what it learned there."
+        f"{rate:g}: the forecast assumes {rate:g}."
     ]
 
 

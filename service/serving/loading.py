@@ -1,4 +1,4 @@
-"""From a folder of artefacts to a registry. What cannot prove itself is refused, not served."""
+"""Loading of a folder of artefacts into a registry. Invalid artefacts are listed, not served."""
 
 import hashlib
 import logging
@@ -65,9 +65,9 @@ def load_registry(
     folders = [folder for folder in _folders(models_dir) if name in (None, folder.parent.name)]
     wanted = [folder for folder in folders if folder.name == str(int(folder.name))]
     misnamed = [_misnamed(folder) for folder in folders if folder not in wanted]
-    # Those that take longest first, so that no core is left with one of them in the end.
+    # The slowest models first, so that no core ends with one of them.
     wanted.sort(key=_size_of_encoder, reverse=True)
-    # One name is loaded again while others answer: it takes a single core from them.
+    # A single name is loaded while the service answers: it takes one core only.
     with ThreadPoolExecutor(cpu_count() if name is None else 1) as pool:
         models = list(pool.map(partial(_load, open_predictor=open_predictor), wanted))
     labels = {model.label for model in models}
@@ -146,7 +146,7 @@ def _load(folder: Path, open_predictor: PredictorFactory) -> Model:
 
 
 def _check_files(folder: Path) -> None:
-    """Refuse what a read may wait for without end, such as a pipe."""
+    """Reject files that are not regular, such as pipes, from which a read may never return."""
     for path in sorted(folder.iterdir()):
         if path.exists() and not path.is_file():
             raise ArtefactError(f"{path.name} is not a regular file")
@@ -177,10 +177,10 @@ def _check_hashes(folder: Path, manifest: Manifest) -> None:
 
 
 def _check_golden(predictor: Predictor, path: Path) -> None:
-    """Compare what the graphs compute with what torch computed, for the first frames alone.
+    """Compare the outputs of the graphs with those of torch, for the first golden frames.
 
-    Hashes tell whether the files are those that were proved; this tells whether the runtime
-    computes on this machine what it did where they were.
+    Hashes verify that the files are those of the export; this comparison verifies the runtime on
+    this machine.
     """
     manifest = predictor.manifest
     with np.load(path) as golden:

@@ -60,12 +60,12 @@ class ModelQuery:
     scenario: Domain | None = None
     final_frame: bool = False
     prompted: bool = False
-    """True if points select the balls; ``objects`` is their number."""
+    """Presence of prompts, whose number is ``objects``."""
     square: bool = True
-    """True if the frames are squares, as models for a fixed number of balls need them."""
+    """Square frames, as models for a fixed number of balls require them."""
     horizon: int = DEFAULT_HORIZON
     frame_rate: float | None = None
-    """Frames a second, if the request tells it."""
+    """Rate of the frames per second, if the request contains it."""
 
 
 class Registry:
@@ -174,17 +174,17 @@ class Registry:
     def _choose_best(self, query: ModelQuery) -> Predictor:
         """Apply the rule for "auto" (decisions 0106 and 0143) to the default versions.
 
-        A model for footage knows one set-up alone, so it is chosen where footage is asked for, or
-        where nothing else forecasts so many balls (decision 0129).
+        A model for footage is trained on one set-up, so it is chosen for the scenario "footage", or
+        if no other model forecasts this number of balls (decision 0129).
         """
         objects = query.objects or 1
         fitting = [p for p in self.served if p.manifest.default and p.manifest.follows(objects)]
         of_any_number = [p for p in fitting if p.manifest.max_objects is not None]
         made_for_it = [p for p in fitting if p.manifest.max_objects is None]
-        # Those for a fixed number of balls cannot be told which ones are meant, and read squares.
-        # Where nothing else is served, the refusal of a rectangle says so.
+        # Models for a fixed number of balls accept no prompts and only square frames. If no other
+        # model is served, the error for a rectangle says so.
         only_any = query.prompted or (of_any_number and not query.square)
-        # Those that are told the rate of the frames know how fast the balls are.
+        # Models with the frame rate as input estimate velocities correctly.
         at_other_rate = [p for p in of_any_number if _reads_other_rate(p.manifest, query)]
         choices = [made_for_it, of_any_number]
         for peers in [of_any_number] if only_any else [at_other_rate, *choices]:

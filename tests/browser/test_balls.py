@@ -152,7 +152,7 @@ def test_an_uncertain_ball_is_grey_and_reported(page: Page, places: np.ndarray):
     page.click("#go")
     expect(page.locator("#verdict")).to_have_attribute("data-warning", "true")
     expect(page.locator("#verdict")).to_have_text(
-        "The ball was not surely found (score 0.21): the grey path may be wrong."
+        "Uncertain detection of the ball (score 0.21): the grey path may be wrong."
     )
 
 

@@ -119,7 +119,7 @@ def test_a_dropped_video(page: Page, scene: Simulation, clips, rate: int, within
     page.click("#end")
     expect(page.locator("#badge")).to_have_text("+0.975 s")
     assert pixels(page) != first
-    expect(page.locator("#surface-note")).to_contain_text("Nobody knows the ground")
+    expect(page.locator("#surface-note")).to_contain_text("The ground of your footage is unknown")
 
 
 @pytest.fixture(scope="module")

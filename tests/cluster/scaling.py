@@ -160,11 +160,11 @@ def fault_lines(faults: Faults) -> list[str]:
         "## Faults under load",
         "",
         f"{CLIENTS} clients (`rollcast.client`) send requests without a pause. Latencies include "
-        "retries. "
+        "retries.",
         f"{faults.accepted} requests were accepted, {len(faults.failures)} lost, "
-        f"{faults.retried} retried and",
-        f"{sum(len(names) > 1 for names in faults.answered_by.values())} answered twice. The "
-        "largest difference from a local forecast was "
+        f"{faults.retried} retried and "
+        f"{sum(len(names) > 1 for names in faults.answered_by.values())} answered twice.",
+        "The largest difference from a local forecast was "
         f"{max(phase.largest_difference_px for phase in faults.phases):.1g} px.",
         "",
         markdown.header(
@@ -246,10 +246,11 @@ def plan_lines(costs: dict[Kind, Cost], spread: Spread, start_s: float) -> list[
     lines += [
         "",
         "The next bottlenecks: decoding PNG files in JSON takes "
-        f"{decode_ms:.1f} ms ({decode_ms / encoded.core_ms:.0%} of a forecast's time), "
-        f"raw tensors need {sizes['binary'] / sizes['json']:.0f} times the network bandwidth,",
+        f"{decode_ms:.1f} ms ({decode_ms / encoded.core_ms:.0%} of a forecast's time),",
+        f"raw tensors need {sizes['binary'] / sizes['json']:.0f} times the network bandwidth, "
         f"and Ray's proxies and routers use {1 - kept:.0%} of the cores (above, {spread.nodes} "
-        "nodes). Replicas behind a plain load balancer",
+        "nodes).",
+        "Replicas behind a plain load balancer",
         "(`docker/kubernetes/base/rollcast.yaml`) need no such proxies. The remaining time is the "
         "networks' own computation.",
         "",

@@ -6,6 +6,7 @@ for the words and the clauses that stood in for them.
 
 import ast
 import re
+import tokenize
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -47,6 +48,12 @@ FORMER_OPTIONS = re.compile(r"--(no-)?(every|slower|film|right|objects)")
 """Options of the command lines with a former name."""
 SUBJECTLESS = re.compile(r"^(What|Who|That|Those|Whether|Of|Where)\b")
 """Beginnings of descriptions that lack a noun."""
+NO_NOUN = re.compile(
+    r"^(What|Who|Why|How|That|Those|Which|Whether|Where|When|If|Of|In|By|From|To|As|Between|After"
+    r"|Beside|Before|Until|Over|With|Without|On|At|For|Beyond|See|It|Its|False|None|Added"
+    r"|Returned|Makes|Reads|Raises|Runs|Turns|Keeps|Narrows|Ends|Called|The same)\b|^[^A-Z]",
+)
+"""Beginnings of attribute descriptions that are no noun: clauses, phrases, verbs, values."""
 PAGES = [
     *(
         ROOT / f"{name}.md"
@@ -59,14 +66,14 @@ PAGES = [
     ROOT / "docs" / "reproduced.md",
     *sorted((ROOT / "docs" / "results").glob("*.md")),
     *sorted((ROOT / "docs" / "guide").glob("*.md")),
+    *sorted((ROOT / "models").glob("*/*/MODEL_CARD.md")),
 ]
 WIDTH = 120
 """Characters of a line of prose. Tables, links and generated text may be longer."""
 NARROW = [
-    *(
-        ROOT / f"{name}.md"
-        for name in ("CHANGELOG", "SECURITY", "CONTRIBUTING", "docs/reliability")
-    ),
+    *(ROOT / f"{name}.md" for name in ("README", "ARCHITECTURE", "CHANGELOG", "CONTRIBUTING")),
+    ROOT / "SECURITY.md",
+    *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "docs" / "guide").glob("*.md")),
 ]
 SOURCES = ("rollcast", "service", "training")
@@ -141,15 +148,25 @@ def docstrings() -> Iterator[Text]:
 
 
 def attribute_docs() -> Iterator[Text]:
-    """Yield the descriptions that follow assignments in modules and classes."""
+    """Yield docstrings of attributes, constants and type aliases."""
     for file, tree in sources():
         for node in ast.walk(tree):
-            if not isinstance(node, ast.Module | ast.ClassDef):
-                continue
-            for before, after in pairwise(node.body):
-                assigned = isinstance(before, ast.Assign | ast.AnnAssign)
-                if assigned and isinstance(after, ast.Expr) and (text := literal(after.value)):
-                    yield Text(file, after.lineno, text)
+            if isinstance(node, ast.Module | ast.ClassDef):
+                for before, one in pairwise(node.body):
+                    is_doc = isinstance(one, ast.Expr) and isinstance(
+                        before, ast.Assign | ast.AnnAssign
+                    )
+                    if is_doc and (text := literal(one.value)):
+                        yield Text(file, one.lineno, text)
+
+
+def comments() -> Iterator[Text]:
+    for package in SOURCES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            with path.open("rb") as file:
+                for token in tokenize.tokenize(file.readline):
+                    if token.type == tokenize.COMMENT:
+                        yield Text(path.relative_to(ROOT).as_posix(), token.start[0], token.string)
 
 
 def identifiers() -> Iterator[Text]:
@@ -187,17 +204,27 @@ def headings(page: Path) -> str:
     return "\n".join(re.findall(r"^#+ .*$", prose(page), flags=re.MULTILINE))
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_pages_use_the_fields_terms(page):
     assert not BANNED.findall(prose(page))
+    assert not CLAUSES.findall(prose(page))
 
 
-@pytest.mark.parametrize("page", NARROW, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", NARROW, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_lines_of_prose_are_short(page):
     lines = page.read_text("utf-8").splitlines()
     assert [
         line for line in lines if len(line) > WIDTH and not line.startswith(("|", "<!--"))
     ] == []
+
+
+CARDS = sorted((ROOT / "models").glob("*/*/MODEL_CARD.md"))
+
+
+@pytest.mark.parametrize("card", CARDS, ids=lambda card: card.parent.relative_to(ROOT).as_posix())
+def test_model_cards_name_architecture_and_supervision(card):
+    (line,) = re.findall(r"^- Architecture: .*?(?=^- |^$)", card.read_text("utf-8"), re.M | re.S)
+    assert "Supervision: " in line
 
 
 def test_settings_use_the_fields_terms():
@@ -221,6 +248,21 @@ def test_docstrings_use_the_fields_terms():
     found = list(docstrings())
     assert len(found) > 1000
     assert [str(one) for one in found if BANNED.search(one.text)] == []
+    assert [str(one) for one in found if CLAUSES.search(one.text)] == []
+
+
+def test_comments_use_the_fields_terms():
+    found = list(comments())
+    assert len(found) > 300
+    assert [str(one) for one in found if CLAUSES.search(one.text)] == []
+
+
+def test_attribute_docs_begin_with_a_noun_and_use_the_fields_terms():
+    found = list(attribute_docs())
+    assert len(found) > 900
+    assert [str(one) for one in found if BANNED.search(one.text)] == []
+    assert [str(one) for one in found if NO_NOUN.search(one.text)] == []
+    assert [str(one) for one in found if CLAUSES.search(one.text)] == []
 
 
 def test_docstrings_of_the_package_and_the_service_begin_with_a_noun_or_a_verb():
@@ -230,17 +272,6 @@ def test_docstrings_of_the_package_and_the_service_begin_with_a_noun_or_a_verb()
 
 def test_headings_of_the_experiments_use_the_fields_terms():
     assert not BANNED.findall(headings(ROOT / "docs" / "experiments.md"))
-
-
-def test_attribute_docs_use_the_fields_terms():
-    found = list(attribute_docs())
-    assert len(found) > 700
-    assert [str(one) for one in found if BANNED.search(one.text)] == []
-
-
-def test_attribute_docs_of_the_package_and_the_service_begin_with_a_noun():
-    found = [one for one in attribute_docs() if not one.file.startswith("training")]
-    assert [str(one) for one in found if SUBJECTLESS.match(one.text)] == []
 
 
 def test_identifiers_are_the_fields_terms():

@@ -71,7 +71,7 @@ def test_the_detector_runs_on_few_tiles_whatever_the_rectangle(size):
 
 
 @pytest.mark.parametrize("size", [(60, 900), (900, 60), (200, 900), (300, 300)])
-def test_balls_of_strips_are_sighted_where_they_are(size):
+def test_balls_of_strips_are_found_where_they_are(size):
     height, width = size
     start = np.array([0.8 * width, 0.5 * height] if width > height else [0.5 * width, 0.8 * height])
     path = start + np.arange(4)[:, None] * np.array([1.5, 1.0])

@@ -109,8 +109,8 @@ def test_score_and_place_are_in_every_form_of_the_result(client, tmp_path):
 
 def test_warnings_of_single_balls_are_kept(client):
     told = Forecast.from_response(_warned(client))
-    assert told.object_warnings == (("No ball is seen surely.",), ())
-    assert told.to_dataframe()["warnings"].tolist()[:2] == ["No ball is seen surely.", ""]
+    assert told.object_warnings == (("Uncertain detection.",), ())
+    assert told.to_dataframe()["warnings"].tolist()[:2] == ["Uncertain detection.", ""]
 
 
 def test_a_kinematic_ball_has_no_angular_velocities_beside_one_that_has(client):
@@ -136,7 +136,7 @@ def test_a_kinematic_ball_has_no_angular_velocities_beside_one_that_has(client):
 def _warned(client):
     answer = client(FakeService()).predict(WIDE, balls=POINTS, horizon=2)
     body = json.loads(answer.to_json())
-    body["objects"][0] |= {"score": 0.2, "warnings": ["No ball is seen surely."]}
+    body["objects"][0] |= {"score": 0.2, "warnings": ["Uncertain detection."]}
     return PredictResponse.model_validate(body)
 
 

@@ -15,7 +15,7 @@ from training.engine.loop import Optimisation, TrainerConfig, TrainingLoop
 from training.objectives.schedules import Schedule
 
 VALIDATIONS = 20
-"""Over the whole budget."""
+"""Number of validations over the whole budget."""
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,6 @@ class Ifs(Learner[States]):
         return self.encoder(given.until(HISTORY).per_ball(angular_velocity=self.sees_spin))
 
     def _truth(self, given: States) -> Tensor:
-        """Return what is predicted of every ball [B, N, T, 4 or 7]."""
+        """Return the true values of the predicted quantities of every ball [B, N, T, 4 or 7]."""
         moving = [given.positions, given.velocities / VELOCITY_UNIT]
         return torch.cat([*moving, *([given.spins] if self.sees_spin else [])], dim=-1)

@@ -1,4 +1,4 @@
-"""Interaction networks: what VIN and IFS roll states out with (Watters et al., 2017)."""
+"""Interaction networks, the dynamics of VIN and IFS (Watters et al., 2017)."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -62,7 +62,7 @@ class SideBySide(nn.Module):
 
 
 class InteractionDynamics(nn.Module):
-    """The next code from those of :data:`OFFSETS` steps back: a core each, and what joins them."""
+    """Dynamics of codes: one core for each of :data:`OFFSETS`, and a layer that joins them."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -83,8 +83,8 @@ class _Step:
     """One step of a rollout, with the dynamics' layers folded together.
 
     Where no rectifier lies between two layers, their product is one layer; layers with the same
-    input are one layer too; what is added up over pairs of balls goes through the last layer of the
-    relation once. This saves half of the time and changes no figure beyond rounding.
+    input are one layer too; the last layer of the relation is applied once, to the sum over
+    pairs of balls. This saves half of the time and changes no figure beyond rounding.
     """
 
     def __init__(self, dynamics: InteractionDynamics, balls: int) -> None:
@@ -101,7 +101,7 @@ class _Step:
         output_2, output_bias_2 = cores.output.layer(1)
         of_code, of_effects = output_1.split((CODE, output_1.shape[1] - CODE), dim=1)
         joined = first.weight.T.unflatten(0, (len(OFFSETS), CODE))
-        # What a code goes through at once: its own dynamics, the output, both sides of a relation.
+        # Layers with a code as their input: own dynamics, output, both sides of a relation.
         widths = [alone_1, of_code]
         biases = [alone_bias_1, output_bias_1 + affector_bias_3 @ of_effects]
         effects_bias = alone_bias_2
@@ -135,7 +135,7 @@ class _Step:
         return self._last((torch.bmm(left, self._join).sum(0) + self._join_bias).relu())
 
     def _others(self, focus_OMC: Tensor, other_OMC: Tensor) -> Tensor:
-        """Add up over the other balls what the relation's last layer is given."""
+        """Sum the inputs of the relation's last layer over the other balls."""
         focus, other = (part.unflatten(1, (-1, self._balls)) for part in (focus_OMC, other_OMC))
         others = torch.stack([other.roll(k, dims=2) for k in range(1, self._balls)], dim=3)
         pairs = (focus[:, :, :, None] + others).relu()

@@ -1,4 +1,4 @@
-"""What every baseline that learns has in common: a loss, and forecasts of fixed sequences."""
+"""Common interface of trainable baselines: a loss, and forecasts of fixed sequences."""
 
 from abc import ABC, abstractmethod
 from typing import Generic, NamedTuple, TypeVar
@@ -32,14 +32,14 @@ class LearnerForecast(NamedTuple):
 
 
 class Learner(nn.Module, ABC, Generic[Given]):
-    """A network that is trained on what it is given of sequences: states or frames."""
+    """Network that is trained on the states or the frames of sequences."""
 
     sees_spin: bool
-    """Whether it is taught angular velocity; without, it is the paper's "w/o ang. vel."."""
+    """Supervision by angular velocities; without it, this is the paper's "w/o ang. vel."."""
 
     @abstractmethod
     def loss(self, given: Given, progress: float) -> Tensor:
-        """Return what is minimised on a batch when a share ``progress`` of the budget is gone."""
+        """Return the loss of a batch after the fraction ``progress`` of the budget."""
 
     @abstractmethod
     def forecast(self, given: Given, horizon: int) -> LearnerForecast:

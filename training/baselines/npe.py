@@ -1,7 +1,7 @@
-"""NPE, the neural physics engine (Chang et al., 2017): what neighbours do to a ball, pair by pair.
+"""NPE, the neural physics engine (Chang et al., 2017): pairwise effects of neighbours.
 
-From the two last true states of every ball it predicts how velocity changes, and integrates. What
-the publication leaves to its code: five layers of 50 units in the encoder of pairs and in the
+It predicts the change of velocity of every ball from its two last states, and integrates. Details
+from the code of the publication: five layers of 50 units in the encoder of pairs and in the
 decoder; the bowl's shape and the angular velocity are inputs here, as the paper adds them.
 """
 
@@ -19,7 +19,7 @@ LAYERS = 5
 NEIGHBOURHOOD = 0.75
 """Distance in halves of the frame within which balls act on each other: 3.5 of their radii."""
 CHANGE_UNIT = 0.1
-"""Of a change of velocity, in VELOCITY_UNIT."""
+"""Scale of changes of velocity, in VELOCITY_UNIT."""
 
 
 class Npe(Learner[States]):

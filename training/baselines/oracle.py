@@ -19,11 +19,11 @@ from rollcast.surfaces import HEIGHTFIELD_HALF_WIDTH_M
 from rollcast.trajectory import FIRST_FORECAST_FRAME, FRAME_RATE_HZ, OBSERVED_FRAMES
 
 ITERATIONS = 4
-"""Of Gauss and Newton; after the third the fit moves by less than a hundredth of a pixel."""
+"""Gauss-Newton iterations; after the third, the fit changes by less than 0.01 px."""
 SHARES = (1.0, 0.5, 0.25, 0.125)
-"""Of a step, of which the first is taken that brings the fit nearer."""
+"""Fractions of a step; the first one that improves the fit is taken."""
 FARTHEST_M = 0.1
-"""Along an axis, from where a ball is seen at t = -3 to where it is taken to be."""
+"""Maximum correction of the observed position at t = -3 along an axis."""
 DIFFERENCES = (1e-3, 1e-2)
 """Steps in metres and metres a second over which the fit's derivatives are taken."""
 _UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)

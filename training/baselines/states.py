@@ -28,11 +28,11 @@ class States(NamedTuple):
     """Consecutive true states of several sequences, from t = -3 on."""
 
     positions: Tensor
-    """[B, N, T, 2]"""
+    """Positions [B, N, T, 2]."""
     velocities: Tensor
-    """Since the frame before [B, N, T, 2]."""
+    """Displacements since the previous frame [B, N, T, 2]."""
     spins: Tensor
-    """[B, N, T, 3]"""
+    """Angular velocities [B, N, T, 3]."""
     bowl: Tensor
     """Axis ratio, and cosine and sine of twice its axis' angle [B, 3]; zeros on heightfields."""
 

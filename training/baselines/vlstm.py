@@ -1,9 +1,9 @@
 """V-LSTM: AlexNet sees, an LSTM forgets nothing (after Fragkiadaki et al., 2016; section 5.1).
 
-AlexNet's first four convolutions see the four frames at once; a dense layer makes of them what an
-LSTM begins with. After that its input is its own last output, no image, and its decoder tells the
-next state only. With several balls every ball has a network of its own. What the paper leaves to
-the reference and the reference to its code: two layers of 512 units, a decoder of two layers of
+AlexNet's first four convolutions read the four frames at once; a dense layer turns their output
+into the initial state of an LSTM. Its later inputs are its own last outputs, without images, and
+its decoder predicts the next state only. With several balls every ball has its own network. Details
+from the code of the reference: two layers of 512 units, a decoder of two layers of
 256, positions relative to the frame's centre.
 """
 
@@ -44,12 +44,12 @@ class AlexNetEncoder(nn.Module):
         )
         for layer in self.features:
             if isinstance(layer, nn.Conv2d):
-                # As the paper begins what it does not take from ImageNet; torch's own, smaller
-                # weights let nothing of the frames through (docs/experiments.md).
+                # The paper's initialisation of layers without ImageNet weights. With torch's
+                # smaller defaults, the output ignores the frames (docs/experiments.md).
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
 
     def forward(self, frames_BKHW3: Tensor) -> Tensor:
-        """Frames uint8 to what is seen [B, SIGHT]."""
+        """Return the features [B, SIGHT] of uint8 frames."""
         stacked = frames_BKHW3.permute(0, 1, 4, 2, 3).flatten(1, 2)
         return self.features(stacked.float() / 255 - 0.5).flatten(1)
 

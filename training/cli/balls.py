@@ -41,7 +41,7 @@ VALIDATION_SCENES = 100
 """Scenes of each kind that fit the covariances of an export."""
 VALIDATION_WINDOWS = 120
 REPEATS = 3
-"""Times that a painted window is seen."""
+"""Number of uses of a painted window."""
 SCENES: dict[int, tuple[Scenario, ...]] = {
     1: ("hemisphere", "ellipsoid", "heightfield"),
     2: ("ellipsoid",),

@@ -97,7 +97,7 @@ def _page(clips: Path, baselines: Sequence[str]) -> Iterator[str]:
 def setup_clips(
     recipe: Recipe, folder: Path | None, balls: Sequence[int] | None
 ) -> dict[Split, Clips] | None:
-    """Return what a recipe trains on where it is made for footage; None for simulated scenes.
+    """Return the clips that a recipe for footage trains on; None for simulated scenes.
 
     Parameters
     ----------

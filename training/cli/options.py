@@ -85,7 +85,7 @@ def ray_option(what: str) -> typer.models.OptionInfo:
 
 
 def with_ray() -> ModuleType:
-    """Import what needs Ray, which is an extra."""
+    """Import the Ray backend, which requires an extra."""
     try:
         return importlib.import_module("training.orchestration.ray_backend")
     except ModuleNotFoundError as error:

@@ -193,7 +193,7 @@ def auto_train(
     workers: Workers = CORES,
     ray: Annotated[str | None, ray_option("train independent rounds in parallel")] = None,
 ) -> None:
-    """Train every family in rounds and export what got better, until nothing gains."""
+    """Train every family in rounds and export improved models, until no family improves."""
     folder = runs_folder() / "auto-train"
     one_round = partial(
         auto_training.train, models=MODELS.resolve(), config=TrainerConfig(simulators=workers)
@@ -220,7 +220,7 @@ def auto_train(
 def _finish(
     chosen: auto_training.Round, outcome: auto_training.RoundResult, scenes: int, workers: int
 ) -> None:
-    """Export what a round made better, and write down that it is done."""
+    """Export the improved models of a round and record its end."""
     before, now = outcome.error_before_px, outcome.error_px
     typer.echo(f"{chosen.recipe.name}: {before} px before, {now} px now")
     if outcome.gain > 0:

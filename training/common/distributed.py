@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Share:
-    """What a process takes of every batch: its rows ``first``, ``first + every``, and so on."""
+    """Rows of every batch for one process: ``first``, ``first + every``, and so on."""
 
     first: int = 0
     every: int = 1
@@ -49,7 +49,7 @@ def is_main_process() -> bool:
 
 
 def main_process_first(work: Callable[[], T]) -> T:
-    """Let the main process do what leaves files behind, then all others, who find them."""
+    """Run work that writes files in the main process first, then in the others."""
     if share().every == 1:
         return work()
     if not is_main_process():

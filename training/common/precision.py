@@ -6,7 +6,7 @@ import torch
 
 
 def mixed_precision(device: torch.device) -> AbstractContextManager[object]:
-    """Compute what bears it in bfloat16, where the processor is made for that.
+    """Use automatic mixed precision with bfloat16 on processors that support it.
 
     Without AVX-512 torch convolves bfloat16 number by number, some twenty times as slowly as
     float32.

@@ -1,4 +1,4 @@
-"""What the folder of a training holds, for those who write it and those who read it."""
+"""Files in the folder of a training run."""
 
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ RENAMED_PARTS = {
 
 
 def read_best(folder: Path) -> dict[str, Any]:
-    """Return the weights with the least validation error, and what is said of them."""
+    """Return the weights with the least validation error, with their metadata."""
     return read_whole(folder / BEST)
 
 

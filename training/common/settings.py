@@ -1,10 +1,10 @@
-"""Where training keeps what must not enter the repository. The only reader of its environment."""
+"""Folders of data sets and checkpoints outside the repository, from the environment."""
 
 import os
 from pathlib import Path
 
 RUNS_VARIABLE = "ROLLCAST_RUNS"
-"""Names the folder of data sets and checkpoints."""
+"""Variable with the folder of data sets and checkpoints."""
 
 
 def keep_runtime_silent() -> None:

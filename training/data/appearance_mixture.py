@@ -1,4 +1,4 @@
-"""Appearance of training windows: the paper's, others of its scenes, planar scenes."""
+"""Appearances of training windows: the paper's, others of its scenes, planar scenes."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -26,14 +26,14 @@ PROMPT_ERROR_PX = 2.5
 
 VALIDATION_SCENES = 200
 VALIDATION_STREAM = 2
-"""Distinguishes the appearances of validation from those of training, whose seeds are numbers."""
+"""Additional seed of validation appearances; training seeds are single numbers."""
 
 KINDS: tuple[Literal["paper", "restyled", "planar"], ...] = ("paper", "restyled", "planar")
 
 
 @dataclass(frozen=True)
 class AppearanceMixture:
-    """Shares of what training windows show, and how many of them have a prompt.
+    """Shares of the kinds of training windows, and of windows with a prompt.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ def _test_start(scene: Scene) -> int:
 
 
 def planar_window(generator: np.random.Generator, horizon: int, *, prompted: bool) -> Window:
-    """Draw and paint a planar scene; what is not known of it is NaN."""
+    """Draw and paint a planar scene; unknown values are NaN."""
     scene = draw_planar_scene(generator, prompted=prompted)
     painted = paint_planar_scene(scene)
     positions = np.full((1, horizon, 2), np.nan)
@@ -145,7 +145,7 @@ def restyled_window(
 
 
 def posed(window: Window, pose: CameraPose) -> Window:
-    """Transform a window's truth as a camera sees it; what it hides becomes NaN."""
+    """Transform a window's truth to a camera pose; hidden values become NaN."""
     positions = posed_points(window.positions, pose)
     spins, scene_targets = _turned_spins(window.angular_velocities, pose), window.scene_targets
     if scene_targets is not None:

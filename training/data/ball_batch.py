@@ -1,7 +1,7 @@
 """Batches that teach a perception of any number of balls.
 
 Balls are padded to :data:`MOST_BALLS`. Lengths are halves of the frame in image axes (x right, y
-down, z towards the camera), what is not known is NaN and costs nothing.
+down, z towards the camera), unknown values are NaN and have no loss.
 """
 
 from collections.abc import Sequence
@@ -16,24 +16,24 @@ MOST_BALLS = 8
 
 
 class BallWindow(NamedTuple):
-    """What one window shows and what comes after, of N balls."""
+    """Frames of one window with the true states of N balls."""
 
     frames: UInt8[np.ndarray, "seen 128 128 3"]
     places: Float[np.ndarray, "balls seen 2"]
-    """Where the balls are seen, shaken as the picture is."""
+    """Positions of the balls in the frames, with the shake of the picture."""
     radii: Float[np.ndarray, " balls"]
     visible: Float[np.ndarray, "balls seen"]
-    """Shares that nothing hides."""
+    """Visible fractions of the balls."""
     moving: Float[np.ndarray, " balls"]
-    """1 where a ball moves, 0 where it rests."""
+    """Motion: 1 for moving balls, 0 for resting ones."""
     centres: Float[np.ndarray, "balls steps 3"]
-    """From t = -3 to the last step, a step of a forecast apart, without the picture's shake."""
+    """Centres from t = -3 to the last step, one forecast step apart, without the shake."""
     spins: Float[np.ndarray, "balls steps 3"]
-    """rad/s, from t = 0 to the last step."""
+    """Angular velocities in rad/s from t = 0 to the last step."""
     ground: Float[np.ndarray, "3 cells cells"]
-    """See :func:`training.data.rest_height_map.resting_ground`."""
+    """Map of :func:`training.data.rest_height_map.resting_ground`."""
     scene: Float[np.ndarray, "2"]
-    """See :func:`training.networks.perception.scene_constants_of`; of the first ball."""
+    """Constants of :func:`training.networks.perception.scene_constants_of`, for the first ball."""
     spacing: float = 1.0
     """Time between two seen frames, in those of a forecast; ``centres`` have one of a forecast."""
 
@@ -51,9 +51,9 @@ class BallBatch(NamedTuple):
     ground: Tensor
     scene: Tensor
     spacing: Tensor
-    """[B]."""
+    """Spacings [B]."""
     there: Tensor
-    """[B, M]."""
+    """Mask [B, M] of balls."""
 
 
 def collate(windows: Sequence[BallWindow]) -> BallBatch:

@@ -5,15 +5,13 @@ only places in the seen frames are known and that their ground is level.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch.utils.data import IterableDataset
 
 from rollcast.camera import BOWL_HALF_WIDTH_M, NETWORK_FRAME_SIZE, Camera, camera_for
 from rollcast.simulation.appearance import CameraPose, Clutter, draw_camera, draw_sensor
@@ -27,6 +25,7 @@ from training.data.painting.restyled import draw_restyling, render_restyled, vis
 from training.data.painting.sensor import through_sensor
 from training.data.rest_height_map import MAP_CELLS
 from training.data.scene_cache import SceneCache
+from training.data.seeded_stream import SeededStream
 from training.data.shards import Recording
 from training.data.windows import MAX_HORIZON, SceneTargets, Window, WindowMaker
 from training.networks.perception import scene_constants_of
@@ -34,12 +33,12 @@ from training.networks.perception import scene_constants_of
 HALF = NETWORK_FRAME_SIZE / 2
 STEPS = FIRST_FORECAST_FRAME + MAX_HORIZON
 REMEMBERED = 2000
-"""Windows that are kept to be seen again, 200 kB each."""
+"""Number of windows in memory for repetition, 200 kB each."""
 LEAST_WAY_PX = 0.3
-"""Way over the seen frames from which on a ball moves."""
+"""Minimum displacement of a moving ball over the observed frames."""
 
 VALIDATION_SEED = 2**31
-"""Of validation windows; training seeds are small."""
+"""Seed of validation windows; training seeds are small."""
 
 Kind = Literal["paper", "filmed", "restyled", "planar"]
 KINDS: tuple[Kind, ...] = ("paper", "filmed", "restyled", "planar")
@@ -47,7 +46,7 @@ KINDS: tuple[Kind, ...] = ("paper", "filmed", "restyled", "planar")
 
 @dataclass(frozen=True)
 class BallAppearanceMixture:
-    """Shares of what training windows show.
+    """Shares of the kinds of training windows.
 
     Attributes
     ----------
@@ -65,7 +64,7 @@ class BallAppearanceMixture:
 
 
 class BallWindowMaker:
-    """Makes windows of stored simulations with what is known of every ball.
+    """Maker of windows of stored simulations with the true states of every ball.
 
     Parameters
     ----------
@@ -163,7 +162,7 @@ class BallWindowMaker:
 
 
 def posed(window: BallWindow, pose: CameraPose, radius_m: float) -> BallWindow:
-    """Transform a window's truth as a camera sees it; what it cannot know becomes NaN."""
+    """Transform a window's truth to a camera pose; unknown values become NaN."""
 
     def moved(points: np.ndarray) -> np.ndarray:
         return (posed_points(HALF + HALF * points, pose) - HALF) / HALF
@@ -328,16 +327,16 @@ class BallSource:
     latest_start: int
 
 
-class BallStream(IterableDataset[BallBatch]):
-    """Endless batches; batch k depends on the seed and on k alone, so training can resume anywhere.
+class BallStream(SeededStream[BallBatch]):
+    """Endless batches of windows for networks that follow any number of balls.
 
     Parameters
     ----------
     sources
         Simulated scenes; those with several balls are restyled alike.
     repeats
-        Times that a window is seen, in other symmetries, among those of the last batches: painting
-        costs a fifth of what learning from it does.
+        Number of times that a window occurs, in different symmetries, within consecutive batches:
+        painting a window takes a fifth of the time of a training step on it.
     """
 
     def __init__(
@@ -349,26 +348,18 @@ class BallStream(IterableDataset[BallBatch]):
         first_batch: int,
         repeats: int = 1,
     ) -> None:
+        super().__init__(seed, first_batch)
         self._sources = sources
         self._mixture = mixture
         self._batch_size = batch_size
-        self._seed = seed
-        self._first_batch = first_batch
         self._fresh = max(batch_size // repeats, 1)
         self._drawn = lru_cache(REMEMBERED if repeats > 1 else 1)(self._draw)
 
-    def __iter__(self) -> Iterator[BallBatch]:
-        """Batches from ``first_batch`` on; several loader processes share them out in turn."""
-        worker = torch.utils.data.get_worker_info()
-        first, stride = (0, 1) if worker is None else (worker.id, worker.num_workers)
-        number = self._first_batch + first
-        while True:
-            generator = np.random.default_rng([self._seed, number])
-            yield collate([self._turned(index, generator) for index in self._chosen(number)])
-            number += stride
+    def _batch(self, generator: np.random.Generator, number: int) -> BallBatch:
+        return collate([self._turned(index, generator) for index in self._chosen(number)])
 
     def _chosen(self, number: int) -> list[int]:
-        """Numbers of a batch's windows: those that are new, and some of those before."""
+        """Return the numbers of the windows of a batch: new ones and repeated ones."""
         first = number * self._fresh
         fresh = range(first, first + self._fresh)
         generator = np.random.default_rng([self._seed, number, 1])

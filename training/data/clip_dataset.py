@@ -12,7 +12,7 @@ Clips that it does not name are for training; without it, clips are split by the
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -20,10 +20,8 @@ from typing import Annotated, NamedTuple
 
 import cv2
 import numpy as np
-import torch
 from jaxtyping import Float, UInt8
 from pydantic import BaseModel, ConfigDict, Field
-from torch.utils.data import IterableDataset
 
 from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.clip import open_clip
@@ -36,6 +34,7 @@ from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.common.distributed import Share
 from training.common.settings import runs_folder
 from training.data.rest_height_map import MAP_CELLS
+from training.data.seeded_stream import SeededStream
 from training.data.splits import Split
 from training.data.windows import Batch, SceneTargets, Symmetry, Window, collate
 
@@ -43,7 +42,7 @@ SETUP_FILE = "setup.json"
 READER = 2
 """Version of how clips are read; frames that an older one kept are read again."""
 UNSEEN: Mapping[Split, float] = {"validation": 0.15, "test": 0.15}
-"""Default shares of the clips that training does not see."""
+"""Shares of the clips in other splits than training, unless ``setup.json`` assigns them."""
 EVERY = 5
 """Frames between the windows of a clip that figures are of."""
 LIGHT = 0.05
@@ -56,7 +55,7 @@ MISSED_FRAME = 1.5
 
 
 class Setup(BaseModel):
-    """What ``setup.json`` says."""
+    """Content of ``setup.json``."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -82,9 +81,9 @@ class Clip:
     missed: np.ndarray
     frame_rate: float
     crop: SquareCrop
-    """What the frames show of the camera's pictures."""
+    """Crop of the camera's pictures in the frames."""
     colors: tuple[str, ...]
-    """Of each ball."""
+    """Color of each ball."""
 
 
 class Place(NamedTuple):
@@ -156,11 +155,8 @@ class Clips:
         return clip.positions[self._balls, place.start : place.start + frames]
 
 
-class ClipStream(IterableDataset[Batch]):
-    """Endless batches of windows, turned and mirrored; batch k depends on the seed and k alone.
-
-    The same interface as :class:`training.data.windows.TrainingStream`.
-    """
+class ClipStream(SeededStream[Batch]):
+    """Endless batches of windows of clips, turned and mirrored."""
 
     def __init__(
         self,
@@ -173,6 +169,7 @@ class ClipStream(IterableDataset[Batch]):
         scene_targets: bool = False,
         share: Share | None = None,
     ) -> None:
+        super().__init__(seed, first_batch)
         self._clips = clips
         self._horizon = horizon
         self._places = clips.places(horizon)
@@ -181,31 +178,22 @@ class ClipStream(IterableDataset[Batch]):
                 f"no clip shows all balls for {FIRST_FORECAST_FRAME + horizon} frames on end"
             )
         self._batch_size = batch_size
-        self._seed = seed
-        self._first_batch = first_batch
         self._scene_targets = scene_targets
         self._share = share or Share()
 
-    def __iter__(self) -> Iterator[Batch]:
-        """Batches from ``first_batch`` on."""
-        worker = torch.utils.data.get_worker_info()
-        first, stride = (0, 1) if worker is None else (worker.id, worker.num_workers)
-        number = self._first_batch + first
-        while True:
-            generator = np.random.default_rng([self._seed, number])
-            rows = generator.integers(len(self._places), size=self._batch_size)
-            turns = generator.integers(4, size=self._batch_size)
-            mirrors = generator.integers(2, size=self._batch_size)
-            lights = 1 + LIGHT * generator.standard_normal((self._batch_size, 3))
-            yield collate(
-                [
-                    Symmetry(int(turns[row]), bool(mirrors[row])).apply(
-                        _in_other_light(self._window(rows[row]), lights[row])
-                    )
-                    for row in self._share.of(self._batch_size)
-                ]
-            )
-            number += stride
+    def _batch(self, generator: np.random.Generator, number: int) -> Batch:  # noqa: ARG002 - the base's
+        rows = generator.integers(len(self._places), size=self._batch_size)
+        turns = generator.integers(4, size=self._batch_size)
+        mirrors = generator.integers(2, size=self._batch_size)
+        lights = 1 + LIGHT * generator.standard_normal((self._batch_size, 3))
+        return collate(
+            [
+                Symmetry(int(turns[row]), bool(mirrors[row])).apply(
+                    _in_other_light(self._window(rows[row]), lights[row])
+                )
+                for row in self._share.of(self._batch_size)
+            ]
+        )
 
     def _window(self, row: int) -> Window:
         return self._clips.window(
@@ -325,8 +313,8 @@ def _clip(path: Path, crop: SquareCrop | None, name: str) -> Clip:
 def _source(tracks: Path, size: tuple[int, int]) -> Path:
     """Return the clip that tracks lie beside: a folder of images, or a video by its content.
 
-    Of several videos of one name (cameras write small copies) it is the one whose pictures are as
-    large as those that were tracked.
+    Of several videos of one name (cameras write small copies) it is the one with the
+    size of the tracked pictures.
     """
     folder = tracks.with_suffix("")
     if folder.is_dir():
@@ -397,7 +385,7 @@ def _in_other_light(window: Window, factors: Float[np.ndarray, "3"]) -> Window:
 
 
 def _scene_targets(positions: Float[np.ndarray, "balls frames 2"]) -> SceneTargets:
-    """Return what tracks tell of the scene: centres as seen from above; NaN where unknown."""
+    """Return the scene targets of tracks: centres in the image; unknown values are NaN."""
     heights = np.full((*positions.shape[:2], 1), np.nan)
     centres = np.concatenate([positions * (2 / NETWORK_FRAME_SIZE) - 1, heights], axis=-1)
     unknown = np.full((3, MAP_CELLS, MAP_CELLS), np.nan)

@@ -1,4 +1,4 @@
-"""Outputs of trained perception for training windows: computed once, replayed in every epoch."""
+"""Cache of the outputs of a trained perception for training windows."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +19,7 @@ TRUTH = ("positions", "angular_velocities")
 def read_windows(
     family: PerceptionFamily, stream: Iterator[Batch], windows: int, path: Path
 ) -> None:
-    """Write the outputs of a family's perception for some windows, and their truth.
+    """Write the perception outputs of a number of windows, with their true states.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""What a data set's scenes look like and how their ground lies, computed once and kept.
+"""Cache of the backgrounds and ground maps of the scenes of a data set.
 
-Both cost more than everything else that a training window takes.
+Both take longer to compute than all other parts of a training window.
 """
 
 import uuid
@@ -25,7 +25,7 @@ class SceneCache(NamedTuple):
     empty: UInt8[np.ndarray, "scenes 128 128 3"]
     """The frame without balls."""
     ground: Float16[np.ndarray, "scenes 3 cells cells"]
-    """See :func:`training.data.rest_height_map.resting_ground`."""
+    """Map of :func:`training.data.rest_height_map.resting_ground`."""
 
 
 def load_scene_cache(shards: Sequence[Path], workers: int) -> SceneCache:

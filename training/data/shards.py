@@ -30,14 +30,14 @@ from training.common.settings import runs_folder
 from training.data.splits import Split, seeds
 
 WORLD_REVISION = 2
-"""Raised by every change of the simulator's code that moves trajectories (golden values tell)."""
+"""Version of the simulated trajectories, raised with every change that alters golden values."""
 
 SHARD_SCENES = 50
 STORED_FRAMES = 288
 """Frames kept of every simulation, from its start."""
 
 VARIETY_STREAM = 1
-"""Keeps the draws of :class:`Variety` apart from those of the scene of the same seed."""
+"""Seed suffix that separates draws of :class:`Variety` from those of the scene."""
 
 SHARDS_PER_WORKER = 4
 """Shards after which a worker process is replaced: PyBullet leaks (decision 0104)."""
@@ -45,7 +45,7 @@ SHARDS_PER_WORKER = 4
 
 @dataclass(frozen=True)
 class SceneOverride:
-    """What sets scenes apart from those that networks are trained on.
+    """Changes of scenes from the training distribution.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class SceneOverride:
     parameters
         Fields of :class:`rollcast.scene.Scene` that are fixed, with their values.
     speed
-        Start velocities relative to those that are drawn.
+        Factor on the drawn start velocities.
 
     Scenes that are rejected with it are left out.
     """
@@ -74,7 +74,7 @@ class Variety:
     name: str = "varied"
     radius_m: tuple[float, float] = (0.03, 0.25)
     axis_ratio: tuple[float, float] = (0.4, 1.0)
-    """Of ellipsoidal bowls; where the ball would not touch the bottom, the lower limit rises."""
+    """Axis ratios of ellipsoids; a larger ball raises the lower limit to touch the bottom."""
     light_side_m: float = 2.5
     """Largest x and y of a heightfield's light."""
     light_height_m: tuple[float, float] = (1.0, 4.0)
@@ -82,7 +82,7 @@ class Variety:
     """Start speed relative to the paper's. Half of the scenes keep the paper's."""
     bowl_speed: tuple[float, float] = (0.4, 1.2)
     materials: bool = False
-    """Whether friction, rolling resistance, drag and start spins vary as well."""
+    """Variation of friction, rolling resistance, drag and start spins as well."""
     friction: tuple[float, float] = (0.05, 1.0)
     rolling_resistance: tuple[float, float] = (0.0, 0.15)
     damping: tuple[float, float] = (0.0, 0.2)
@@ -90,7 +90,7 @@ class Variety:
     """Largest start spin about each axis; half of the scenes start without."""
 
     def override(self, scenario: Scenario, seed: int) -> SceneOverride:
-        """Return what is unusual about the scene of a seed."""
+        """Return the changes of the scene of a seed."""
         generator = np.random.default_rng([seed, SCENARIOS.index(scenario), VARIETY_STREAM])
         radius = generator.uniform(*self.radius_m)
         parameters: dict[str, object] = {"radius_m": radius}
@@ -122,9 +122,9 @@ class Source:
     radius_m
         Ball radius; None leaves it to the scene's own distribution.
     change
-        What else is unusual about its scenes, all alike.
+        Changes that all its scenes share.
     variety
-        What is drawn anew for each of its scenes instead.
+        Changes that are drawn for each scene instead.
     """
 
     scenario: Scenario
@@ -152,7 +152,7 @@ class Source:
         return radius | dict(() if self.override is None else self.override.parameters)
 
     def sequence(self, simulator: Simulator, seed: int) -> Simulated | None:
-        """Simulate one of its scenes; None when a rule rejects what is unusual about it."""
+        """Simulate one of its scenes; None when a rejection rule excludes its changes."""
         draw = partial(simulator.sequence, self.scenario, self.objects, seed)
         parameters, override = self.parameters, self.override
         if self.variety is not None:
@@ -223,7 +223,7 @@ class Shard:
 
 
 Makers = Callable[[Sequence[Shard]], Iterable[object]]
-"""Makes shards, in any order, and yields something for each that is there."""
+"""Function that makes shards in any order and yields one item per shard."""
 
 
 def split_shards(source: Source, split: Split, scenes: int, folder: str) -> list[Shard]:

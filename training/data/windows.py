@@ -4,14 +4,13 @@ Training draws scenes, start times and symmetries for ever from a seeded generat
 test take every scene once at its scenario's fixed start (paper, section 3.1, simulation details).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, NotRequired, Protocol, TypedDict
 
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
-from torch.utils.data import IterableDataset
 
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
 from rollcast.simulation.recording import TEST_START
@@ -19,12 +18,13 @@ from rollcast.simulation.rendering import Renderer
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.common.distributed import Share
 from training.data.scene_cache import SceneCache
+from training.data.seeded_stream import SeededStream
 from training.data.shards import STORED_FRAMES, Recording
 from training.networks.perception import scene_constants_of
 from training.networks.recurrent import InitialState
 
 MAX_HORIZON = 40
-"""Longest forecast that training or evaluation asks of a stored simulation (T_gen)."""
+"""Longest forecast of training and evaluation on stored simulations (T_gen)."""
 
 
 def generated_horizon(objects: int) -> int:
@@ -44,7 +44,7 @@ LAST_START = STORED_FRAMES - FIRST_FORECAST_FRAME - MAX_HORIZON
 
 
 class SceneTargets(NamedTuple):
-    """What a network with an explicit state learns to read besides.
+    """Additional targets of networks with an explicit state.
 
     Halves of the frame in image axes (x right, y down, z towards the camera).
     """
@@ -52,27 +52,27 @@ class SceneTargets(NamedTuple):
     centres: Float[np.ndarray, "objects frames 3"]
     """Ball centres from the first observed frame to the last step."""
     ground: Float[np.ndarray, "3 cells cells"]
-    """See :func:`training.data.rest_height_map.resting_ground`."""
+    """Map of :func:`training.data.rest_height_map.resting_ground`."""
     scene_constants: Float[np.ndarray, "2"]
-    """See :func:`training.networks.perception.scene_constants_of`."""
+    """Constants of :func:`training.networks.perception.scene_constants_of`."""
 
 
 class Guidance(NamedTuple):
-    """Guidance of windows of many appearances (:mod:`training.data.appearance_mixture`)."""
+    """Additional data of windows of random appearance (:mod:`training.data.appearance_mixture`)."""
 
     prompts: Float[np.ndarray, "objects 2"]
-    """Rough places of the balls that are meant, in the last seen frame; NaN without a prompt."""
+    """Prompts near the balls in the last observed frame; NaN without a prompt."""
     shake: Float[np.ndarray, "seen 2"]
     """Shift of the picture in every seen frame against the last one, pixels."""
     radii: Float[np.ndarray, " objects"]
-    """Of the balls as they are seen, pixels."""
+    """Radii of the balls in the frames, pixels."""
 
 
 class Window(NamedTuple):
     """One sequence: the seen frames and the truth of the steps t = 0..T-1 (128-px units, rad/s)."""
 
     frames: UInt8[np.ndarray, "seen 128 128 3"]
-    """Empty where nothing is to be seen."""
+    """Frames; empty for windows without frames."""
     positions: Float[np.ndarray, "objects steps 2"]
     angular_velocities: Float[np.ndarray, "objects steps 3"]
     scene_targets: SceneTargets | None = None
@@ -92,7 +92,7 @@ class Batch(TypedDict):
     from_true_states: NotRequired["Batch"]
     """More windows without frames."""
     initial_state: NotRequired[InitialState]
-    """What was read of the frames, in their place."""
+    """Cached initial states in place of frames."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ class WindowMaker:
         return self._recordings[index]
 
     def renderer(self, index: int) -> Renderer:
-        """Return what renders a scene."""
+        """Return the renderer of a scene."""
         if index not in self._renderers:
             scene = self._recordings[index].scene
             camera = camera_for(scene.scenario, NETWORK_FRAME_SIZE)
@@ -227,13 +227,13 @@ class WindowAppearance(NamedTuple):
     """Appearance of one training window."""
 
     kind: Literal["paper", "restyled", "planar"]
-    """The paper's appearance, another one of its scenes, or a planar scene instead of the scene."""
+    """Appearance: the paper's, another one of its scenes, or a planar scene."""
     prompted: bool
     seed: int
 
 
 class Mixture(Protocol):
-    """Appearance of training windows."""
+    """Mixture of appearances of training windows."""
 
     def draw(self, generator: np.random.Generator) -> WindowAppearance:
         """Draw the appearance of a window."""
@@ -256,8 +256,8 @@ class _Drawn(NamedTuple):
     appearance: WindowAppearance | None
 
 
-class TrainingStream(IterableDataset[Batch]):
-    """Endless batches. Batch k depends on the seed and on k alone, so training can resume anywhere.
+class TrainingStream(SeededStream[Batch]):
+    """Endless batches of windows of stored simulations.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ class TrainingStream(IterableDataset[Batch]):
     share
         The rows of every batch that are made.
     mixture
-        Appearance of the windows; None for the paper's appearance alone.
+        Appearance of the windows; None for the paper's only.
     """
 
     def __init__(
@@ -302,6 +302,7 @@ class TrainingStream(IterableDataset[Batch]):
             raise ValueError(
                 f"latest_start is {max(latest_starts)}; at most {LAST_START} is stored"
             )
+        super().__init__(seed, first_batch)
         self._makers = [
             WindowMaker(group, final_step, scene_cache, scene_targets=scene_targets)
             for group, scene_cache in zip(groups, scene_caches, strict=True)
@@ -312,22 +313,10 @@ class TrainingStream(IterableDataset[Batch]):
         self._shares = np.asarray(shares) / np.sum(shares)
         self._latest_starts = latest_starts
         self._batch_size = batch_size
-        self._seed = seed
-        self._first_batch = first_batch
         self._share = share or Share()
         self._mixture = mixture
 
-    def __iter__(self) -> Iterator[Batch]:
-        """Batches from ``first_batch`` on; several loader processes share them out in turn."""
-        worker = torch.utils.data.get_worker_info()
-        first, stride = (0, 1) if worker is None else (worker.id, worker.num_workers)
-        number = self._first_batch + first
-        while True:
-            generator = np.random.default_rng([self._seed, number])
-            yield self._batch(generator)
-            number += stride
-
-    def _batch(self, generator: np.random.Generator) -> Batch:
+    def _batch(self, generator: np.random.Generator, number: int) -> Batch:  # noqa: ARG002 - the base's
         batch = collate(self._windows(generator, self._batch_size, seen=self._seen))
         if self._true_state_windows:
             batch["from_true_states"] = collate(
@@ -336,7 +325,7 @@ class TrainingStream(IterableDataset[Batch]):
         return batch
 
     def _windows(self, generator: np.random.Generator, rows: int, *, seen: bool) -> list[Window]:
-        # All are drawn, whoever makes them: the batch is the same for any number of shares.
+        # Every process draws all rows, so the batch is the same for any number of processes.
         drawn = [self._draw(generator) for _ in range(rows)]
         return [self._window(drawn[row], seen=seen) for row in self._share.of(rows)]
 

@@ -80,7 +80,7 @@ class BallTrainer(TrainingLoop[BallBatch]):
     scenes
         Training scenes by kind, for the card of the model.
     validate
-        Returns the error in px that decides which weights are the best, and what else is plotted.
+        Function that returns the error in px that selects the best weights, and errors to plot.
     """
 
     def __init__(
@@ -198,7 +198,7 @@ class _Rows:
 
 
 def _rows(batch: BallBatch, refined_per_window: float, generator: torch.Generator) -> _Rows:
-    """So many balls in the mean, of different windows first; those that move more often."""
+    """Draw balls, their mean number given: of different windows first, moving ones more often."""
     seen = batch.there * (batch.visible[:, :, -1].nan_to_num() > VISIBLE)
     drawn = torch.rand(seen.shape, generator=generator) + 0.7 * batch.moving.nan_to_num()
     drawn = torch.where(seen > 0, drawn, -1.0)

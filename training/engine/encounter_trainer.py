@@ -13,6 +13,7 @@ import torch
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.data.ball_batch import BallBatch, collate
 from training.data.ball_windows import BallSource
+from training.engine.cosine_descent import cosine_descent
 from training.networks.any_ball import AnyBallNet
 from training.networks.fieldnet import MESSAGE, true_state
 from training.networks.recurrent import ANGULAR_VELOCITY_UNIT, Observation
@@ -65,29 +66,31 @@ def train_encounters(
     assert rolling.pair_interaction is not None
     columns = [rolling.layers[0].weight, rolling.linear.weight]
     trained = [*rolling.pair_interaction.parameters(), *columns]
-    optimiser = torch.optim.AdamW(trained, training.learning_rate, weight_decay=0.0)
     motion, spin = MotionLoss(training.halving), SpinLoss(training.halving)
     shares = np.array([source.share for source in sources])
-    for number in range(training.batches):
-        generator = np.random.default_rng([training.seed, number])
+
+    def loss_at(generator: np.random.Generator, progress: float) -> torch.Tensor:
         source = sources[generator.choice(len(sources), p=shares / shares.sum())]
         windows = [
             source.maker.truth(generator, source.latest_start) for _ in range(training.batch_size)
         ]
-        progress = number / training.batches
         horizon = int(np.interp(progress, (0, 0.5), (2, training.horizon)))
-        for group in optimiser.param_groups:
-            group["lr"] = training.learning_rate * 0.5 * (1 + np.cos(np.pi * progress))
-        loss = _loss(network, collate(windows), horizon, motion, spin)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
+        return _loss(network, collate(windows), horizon, motion, spin)
+
+    def mask_gradients() -> None:
         # The last columns read the messages; all others stay.
         for weight in columns:
             assert weight.grad is not None
             weight.grad[:, :-MESSAGE] = 0
-        if torch.isfinite(torch.nn.utils.clip_grad_norm_(trained, 0.5)):
-            optimiser.step()
-        yield loss.item()
+
+    yield from cosine_descent(
+        loss_at,
+        [{"params": trained, "lr": training.learning_rate}],
+        batches=training.batches,
+        weight_decay=0.0,
+        seed=training.seed,
+        mask_gradients=mask_gradients,
+    )
 
 
 def _loss(

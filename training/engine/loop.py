@@ -62,7 +62,7 @@ class Optimisation:
     gradient_clip
         Longest gradient, in multiples of the usual length.
     average_decay
-        Of the exponential moving average of the weights, which is what gets evaluated; with 0 the
+        Decay of the exponential moving average of the weights, which is evaluated; with 0 the
         weights themselves are.
     """
 
@@ -80,7 +80,7 @@ class TrainingLoop(ABC, Generic[Item]):
     Parameters
     ----------
     module
-        What is trained.
+        Trained module.
     groups
         Its parameters, or groups of them as the optimiser takes them.
     folder
@@ -118,15 +118,15 @@ class TrainingLoop(ABC, Generic[Item]):
 
     @abstractmethod
     def _loss(self, batch: Item, progress: float) -> torch.Tensor:
-        """Return what is minimised on a batch when a share ``progress`` of the budget is gone."""
+        """Return the loss of a batch after the fraction ``progress`` of the budget."""
 
     @abstractmethod
     def _errors(self) -> tuple[float, Mapping[str, float]]:
-        """Return the averaged weights' validation error in px, and what else is plotted."""
+        """Return the validation error of the averaged weights in px, and errors to plot."""
 
     @abstractmethod
     def _best_weights(self) -> dict[str, Any]:
-        """Return what is kept of the averaged weights when their error is the best."""
+        """Return the checkpoint of the averaged weights, kept if their error is the best."""
 
     def _set_rates(self, progress: float) -> None:
         """Set the learning rates of a batch."""
@@ -258,7 +258,7 @@ class TrainingLoop(ABC, Generic[Item]):
         self.validations.append((self.batches, error))
 
     def averaged(self) -> nn.Module:
-        """Return what is trained, with the averaged weights."""
+        """Return the trained module with the averaged weights."""
         return self._average.module
 
     @property
@@ -363,7 +363,7 @@ def warmed_average(decay: float) -> Callable[..., None]:
     Parameters
     ----------
     decay
-        Of the average in the long run; that of update n is at most (1 + n) / (10 + n).
+        Asymptotic decay; that of update n is at most (1 + n) / (10 + n).
     """
 
     def update(

@@ -1,8 +1,8 @@
-"""Trains the states at t = 0 and the motion of any number of balls by whole trajectories.
+"""Training of the initial state and of the motion of :class:`AnyBallNet` on whole trajectories.
 
-The perception is frozen, and what it reads of each window is computed once. A loss at t = 0 weighs
-all errors of a velocity alike; along a trajectory those count that lead away from it, and the
-motion learns from states as the perception measures them.
+The perception is frozen, and its outputs are computed once per window. A loss at t = 0 weights all
+errors of a velocity alike; a loss along the trajectory weights them by their effect on it, and the
+motion is trained on states as the perception measures them.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,6 +16,7 @@ from torch import Tensor
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.data.ball_batch import BallBatch
 from training.engine.ball_trainer import VISIBLE
+from training.engine.cosine_descent import cosine_descent
 from training.networks.any_ball import AnyBallNet, Seen, seen_balls
 from training.networks.ball_detector import PIXEL, BallMaps, voted
 from training.networks.blocks import PIXEL_UNIT
@@ -38,32 +39,32 @@ LIKELIHOOD_WEIGHT = 0.2
 
 
 class BallPerceptionOutputs(NamedTuple):
-    """What the perception reads of W windows of N balls, and their truth."""
+    """Outputs of the perception for W windows of N balls, with their true states."""
 
     places: Tensor
-    """[W, N, K, 2] in the seen frames."""
+    """Positions [W, N, K, 2] in the observed frames."""
     radii: Tensor
-    """[W, N]."""
+    """Radii [W, N]."""
     visible: Tensor
-    """[W, N, K] logits."""
+    """Logits [W, N, K] of visibility."""
     log_sigmas: Tensor
-    """[W, N, 2]."""
+    """Logarithms [W, N, 2] of the standard deviations."""
     features: Tensor
-    """[W, N, FEATURES]."""
+    """Features [W, N, FEATURES] of the refiner."""
     ground: Tensor
-    """[W, 3, G, G]."""
+    """Ground maps [W, 3, G, G]."""
     scene: Tensor
-    """[W, 2]."""
+    """Scene constants [W, 2]."""
     spacing: Tensor
-    """[W] time between two seen frames, in steps of the forecast."""
+    """Time [W] between two observed frames, in steps of the forecast."""
     centres: Tensor
-    """[W, N, S, 3] true ones, from t = -3 on, a step apart; NaN where they are not known."""
+    """True centres [W, N, S, 3] from t = -3 on, one step apart; unknown ones are NaN."""
     spins: Tensor
-    """[W, N, T, 3] true ones from t = 0 on, rad/s; NaN where they are not known."""
+    """True angular velocities [W, N, T, 3] in rad/s from t = 0 on; unknown ones are NaN."""
 
     @property
     def seen(self) -> Seen:
-        """What is seen of the balls."""
+        """Outputs of the perception for the balls."""
         return seen_balls(self.places, self.radii, self.visible, self.log_sigmas, self.features)
 
     def taken(self, index: Tensor) -> "BallPerceptionOutputs":
@@ -159,35 +160,31 @@ def train_motion(
             motion.append(parameter)
         elif parameter.requires_grad:
             states.append(parameter)
-    parameters = [*states, *motion]
-    learned = [
-        {"params": states, "lr": training.state_rate},
-        {"params": motion, "lr": training.motion_rate},
-    ]
-    rates = [group["lr"] for group in learned]
-    optimiser = torch.optim.AdamW(learned, weight_decay=1e-3)
     counts = list(outputs)
     shares = np.array([len(outputs[count].radii) for count in counts], float)
-    for number in range(training.batches):
-        generator = np.random.default_rng([training.seed, number])
-        progress = number / training.batches
-        for group, rate in zip(optimiser.param_groups, rates, strict=True):
-            group["lr"] = rate * 0.5 * (1 + np.cos(np.pi * progress))
+
+    def loss_at(generator: np.random.Generator, progress: float) -> Tensor:
         some = outputs[counts[generator.choice(len(counts), p=shares / shares.sum())]]
         index = torch.from_numpy(generator.integers(len(some.radii), size=training.batch_size))
         horizon = int(np.interp(progress, (0, 0.5), (4, training.horizon)))
-        loss = trajectory_loss(network, some.taken(index), horizon, training.halving)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        if torch.isfinite(torch.nn.utils.clip_grad_norm_(parameters, 0.5)):
-            optimiser.step()
-        yield loss.item()
+        return trajectory_loss(network, some.taken(index), horizon, training.halving)
+
+    yield from cosine_descent(
+        loss_at,
+        [
+            {"params": states, "lr": training.state_rate},
+            {"params": motion, "lr": training.motion_rate},
+        ],
+        batches=training.batches,
+        weight_decay=1e-3,
+        seed=training.seed,
+    )
 
 
 def trajectory_loss(
     network: AnyBallNet, outputs: BallPerceptionOutputs, horizon: int, halving: float
 ) -> Tensor:
-    """Loss of trajectories that begin with what was read, in pixels; what is not known is free."""
+    """Loss in pixels of trajectories from the outputs of the perception; NaN has no loss."""
     seen = outputs.seen
     state, balls = network.begin(seen, outputs.ground, outputs.scene, outputs.spacing)
     steps = network.rolling.trajectory(state, horizon)

@@ -11,13 +11,13 @@ from torch.utils.flop_counter import FlopCounterMode
 from training.engine.loop import TrainingLoop
 
 SIDE = 1024
-"""Of the matrices whose product is the peak."""
+"""Side of the matrices whose product measures the peak."""
 PRODUCTS = 10
 
 
 @dataclass(frozen=True)
 class DryRun:
-    """What a few steps did.
+    """Measurements of a few steps.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Total loss of a recipe: forecasts from frames, from cached features and from true states."""
+"""Total loss of a recipe: forecasts from frames, from cached outputs and from true states."""
 
 import torch
 
@@ -42,7 +42,7 @@ class Objective:
         return loss
 
     def _forecasts(self, batch: Batch, horizon: int) -> dict[str, Observation]:
-        """Return every member's forecasts of a batch's frames, or of what was read of them."""
+        """Return every member's forecasts from the frames of a batch or from cached outputs."""
         if "initial_state" in batch:
             (s, p), finals = batch["initial_state"]
             state = State(s.to(self.device), p.to(self.device))
@@ -57,7 +57,7 @@ class Objective:
             return _all_in_float32(self.family(frames, horizon, prompts))
 
     def _forecasts_from(self, initial: InitialState, horizon: int) -> dict[str, Observation]:
-        """Return every member's forecasts from what was read, or is true."""
+        """Return every member's forecasts from initial states, cached or true."""
         assert isinstance(self.family, PerceptionFamily)
         with mixed_precision(self.device):
             return _all_in_float32(self.family.forecast_from(initial, horizon))
@@ -82,7 +82,7 @@ class Objective:
     def _perception_loss(
         self, forecasts: dict[str, Observation], batch: Batch
     ) -> torch.Tensor | float:
-        """Loss of the perception outputs; zero where no perception is trained."""
+        """Loss of the perceptions; zero if none is trained."""
         explicit = self.recipe.explicit
         if explicit is None or explicit.perception is None:
             return 0.0

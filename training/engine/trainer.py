@@ -45,8 +45,8 @@ class Trainer(TrainingLoop[Batch]):
     folder
         Where checkpoints, the best weights and TensorBoard events go.
     initial
-        What to start from: each network by its name, all of them where no name fits. What the
-        networks share comes from the first; parameters that none has stay untrained.
+        Initial networks: each by its name, or all of them if no name matches. Shared parts come
+        from the first one; parameters that none has stay untrained.
     clips
         Footage to train on and validate with; None for simulated scenes.
     """
@@ -88,7 +88,7 @@ class Trainer(TrainingLoop[Batch]):
         self._objective = Objective(recipe, self.family, self.device)
 
     def _groups(self) -> list[dict[str, list[torch.nn.Parameter]]]:
-        """Return what learns at a rate of its own: shared parts, explicit motion, and the rest."""
+        """Return the groups of parameters by learning rate: shared, explicit motion, the rest."""
         shared = self.family.shared_parameters()
         motion = [
             parameter
@@ -105,7 +105,7 @@ class Trainer(TrainingLoop[Batch]):
 
     @property
     def _windows_seen(self) -> int:
-        """Training windows seen so far; those that are replayed count once."""
+        """Number of distinct training windows so far; replayed ones count once."""
         replayed_windows = self.recipe.replay_windows
         return min(self.sequences, replayed_windows) if replayed_windows else self.sequences
 
@@ -197,7 +197,7 @@ class Trainer(TrainingLoop[Batch]):
 
     @cached_property
     def _validation_windows(self) -> dict[str, list[Window]]:
-        """Windows of the validation split by what they show."""
+        """Windows of the validation split by scenario or clip."""
         if self._clips is None:
             return validation_windows(self.recipe, self._config.simulators)
         clips, horizon = self._clips["validation"], self.recipe.trained_horizon

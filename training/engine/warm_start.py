@@ -1,4 +1,4 @@
-"""What a training begins with: the weights of trained networks, as far as they fit."""
+"""Initial weights of a training from trained networks, where names and shapes match."""
 
 import math
 from dataclasses import dataclass

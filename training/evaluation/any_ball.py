@@ -1,4 +1,4 @@
-"""How well a network for any number of balls sees and forecasts, against what is true."""
+"""Errors of detection and forecast of a network for any number of balls."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ class TorchFinder:
     def refine(
         self, patches: Float[np.ndarray, "balls 4 3 32 32"], wanted: Sequence[str]
     ) -> Arrays:
-        """Patches to what is wanted of them."""
+        """Return the requested outputs of patches."""
         with torch.inference_mode():
             said = self.network.perception.refiner(torch.from_numpy(patches.astype(np.float32)))
         return {name: getattr(said, name).numpy() for name in wanted}
@@ -103,7 +103,7 @@ def forecast_sets(
 def forecast_windows(finder: TorchFinder, windows: Sequence[Window], horizon: int) -> Forecasts:
     """Forecast windows of as many balls each, all of which move.
 
-    A ball that was not found is forecast to be in the middle of the frame, very unsurely.
+    A ball that was not found gets a forecast in the middle of the frame with a large covariance.
     """
     rows = [_forecast_one(finder, window, horizon) for window in windows]
     positions, covariances, spins = (np.stack(parts) for parts in zip(*rows, strict=True))
@@ -147,7 +147,7 @@ class SightErrors:
     ahead: np.ndarray
     """Distance of the straight line through both after :data:`AHEAD` frames."""
     radii: np.ndarray
-    """True radii."""
+    """Radii of the true balls."""
 
     @property
     def found(self) -> float:

@@ -1,7 +1,7 @@
 """Takes the error of a network with an explicit state apart: parts of it are replaced by the truth.
 
-What a part's truth takes away is what misreading it costs; what is left with all of them is the
-motion's own error.
+The error that the truth of a part removes is the error due to its estimate; the error that remains
+with the truth of all parts is that of the motion.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ SUBSTITUTES: Mapping[str, tuple[str, ...]] = {
     "centre, velocity and spin": ("centre", "velocity", "spin"),
     "everything": ("ground", "centre", "velocity", "spin"),
 }
-"""What is taken from the truth, and the parts of the state that it replaces."""
+"""Replaced parts of the state, by name."""
 
 
 def breakdown_of(

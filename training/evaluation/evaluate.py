@@ -20,12 +20,12 @@ from training.networks.recurrent import Family, Network
 from training.objectives.metrics import Forecasts, constant_positions, forecast
 
 Shown = TypeVar("Shown", bound=Domain)
-"""What forecasts show: scenarios, or footage."""
+"""Domain of forecasts: scenarios, or footage."""
 
 
 @dataclass(frozen=True)
 class EvaluationSet(Generic[Shown]):
-    """Fixed windows of one scenario, with what the baselines need of their recordings."""
+    """Fixed windows of one scenario, with the data of their recordings for the baselines."""
 
     scenario: Shown
     split: Split
@@ -87,7 +87,7 @@ def run(predictor: Network, sets: Sequence[EvaluationSet[Shown]]) -> Mapping[Sho
 
 
 class Measured(NamedTuple):
-    """What is measured of forecasts at one step, rounded; None where the network has no output."""
+    """Measurements of forecasts at one step, rounded; None without such an output."""
 
     position_error_px: float
     standard_error_px: float

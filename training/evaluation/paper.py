@@ -26,12 +26,12 @@ LINEAR_EXTRAPOLATION = "linear extrapolation"
 def published(
     scenario: Scenario, objects: int, method: str, at: str, condition: str = ""
 ) -> Published | None:
-    """Return what the paper prints for a method at a moment, "T=20" for example.
+    """Return the published value of a method at a moment, "T=20" for example.
 
     Parameters
     ----------
     condition
-        What is special about the scenes; "" for all that a scenario has.
+        Condition of the scenes; "" for all scenes of the scenario.
     """
     return CELLS.get((scenario, objects, method, at, condition))
 

@@ -36,7 +36,7 @@ Move = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Perturbation:
-    """A change of frames, and where it moves what they show."""
+    """Perturbation of frames, with its effect on positions."""
 
     name: str
     change: Perturb
@@ -185,11 +185,11 @@ class PerturbationResult:
     """Forecasts of one scenario under one perturbation."""
 
     errors: np.ndarray
-    """At T=20, pixels of 128."""
+    """Error at T = 20, pixels of 128."""
     inside: np.ndarray
-    """Whether the truth lies inside the ellipse that should hold 95 %."""
+    """Coverage: the ellipse for 95 % contains the true position."""
     warned: np.ndarray
-    """Whether the answer warned of the frames or of the ball."""
+    """Presence of a warning about the frames or the ball."""
 
 
 def outcome(

@@ -35,7 +35,7 @@ MOVES_PX = 0.5
 """Least way of the ball over a window that counts."""
 
 MOST_WINDOWS = 80
-"""Of a clip; they are spread evenly."""
+"""Number of windows of a clip, spread evenly."""
 
 FOUND_PX = 2.0
 """A ball is found within its radius, or within this where the radius is smaller."""
@@ -53,12 +53,12 @@ class ClipWindow(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a model sees in a clip's windows, pixels of 128."""
+    """Detections of a model in the windows of a clip, pixels of 128."""
 
     position_errors: Float[np.ndarray, " windows"]
-    """At t = 0."""
+    """Position errors at t = 0."""
     displacement_errors: Float[np.ndarray, " windows"]
-    """Of the last displacement."""
+    """Errors of the last displacement."""
     found: Bool[np.ndarray, " windows"]
 
 

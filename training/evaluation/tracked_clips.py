@@ -42,7 +42,7 @@ class Run:
     client_cpu_s: float
     service_cpu_s: float
     peak_memory_mib: float
-    """Of the command; the service's is not the clip's."""
+    """Peak memory of the command; that of the service does not depend on the clip."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ class Followed:
     """A ball that was tracked by hand, in the tracks of the command."""
 
     share: float
-    """Of its frames in which some track is within its radius."""
+    """Share of its frames in which some track is within its radius."""
     switches: int
-    """Times that another track than before is the nearest."""
+    """Number of changes of the nearest track."""
     frames: int
 
 

@@ -25,7 +25,7 @@ class Difficulty:
 
     linear_extrapolation_px: tuple[float, float]
     angular_speed_rad_s: float
-    """Until the ball has stopped."""
+    """Mean angular speed until the ball stops."""
 
 
 def measure(scenario: Scenario, scenes: int) -> Difficulty:

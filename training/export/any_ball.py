@@ -1,8 +1,8 @@
 """The network for any number of balls as graphs whose number of balls is a free axis.
 
-Four graphs: the detector looks at whole frames, the refiner at patches (M of them, of all balls),
-the encoder makes the first state of what they saw, and the step moves it on. Between them
-:func:`rollcast.ball_finding.find_balls` cuts the patches out of the frames as they were sent.
+Four graphs: the detector reads whole frames, the refiner patches (M of them, of all balls),
+the encoder turns their outputs into the initial state, and the step advances it. Between them
+:func:`rollcast.ball_finding.find_balls` cuts the patches out of the full-size frames.
 """
 
 from collections.abc import Sequence
@@ -83,7 +83,7 @@ class RefinerGraph(torch.nn.Module):
 
 
 class BallEncoderGraph(torch.nn.Module):
-    """What was seen of N balls to the first state and observation, as positional tensors."""
+    """Outputs of the refiner for N balls to the initial state and first observation."""
 
     def __init__(self, network: AnyBallNet) -> None:
         super().__init__()

@@ -29,6 +29,7 @@ from training.evaluation.any_ball import TorchFinder, forecast_sets
 from training.evaluation.evaluate import EvaluationSet, markdown_table, metric_rows
 from training.export.any_ball import OUTPUTS, STATE_NAMES, BallGraphs, write_ball_graphs
 from training.export.export import evaluate, hashes, validated, with_covariance
+from training.export.model_card import ARCHITECTURES
 from training.export.spec import LICENCE
 from training.export.weight_rounding import round_weights
 from training.networks.any_ball import AnyBallNet
@@ -42,7 +43,7 @@ VALIDATED_STEPS = 5
 golden values prove one ball up to the trained horizon."""
 
 LEVEL_SLOPE = 0.02
-"""Between the slopes that are read under tables and under bowls, see decision 0142."""
+"""Slope between those estimated on tables and in bowls, see decision 0142."""
 
 Sets = Mapping[int, Sequence[EvaluationSet[Scenario]]]
 """Evaluation sets by their number of balls."""
@@ -50,7 +51,7 @@ Sets = Mapping[int, Sequence[EvaluationSet[Scenario]]]
 
 @dataclass(frozen=True)
 class TrainedBalls:
-    """The trained network, with what is said of it."""
+    """Trained network with its metadata."""
 
     name: str
     network: AnyBallNet
@@ -71,7 +72,7 @@ def export_balls(
     test: Sets,
     acceleration_ratio: float,
 ) -> Manifest:
-    """Write ``models/NAME/VERSION`` and prove that it computes what torch does.
+    """Write ``models/NAME/VERSION`` and verify that its outputs equal those of torch.
 
     Parameters
     ----------
@@ -160,7 +161,7 @@ def _rows(
 def _write_golden(
     finder: TorchFinder, frames: Sequence[np.ndarray], horizon: int, folder: Path
 ) -> None:
-    """Keep what torch makes of windows without prompts: one ball, that which most surely moves."""
+    """Write the golden values of torch for windows without prompts, one ball each."""
     rows: list[dict[str, np.ndarray]] = []
     for window in frames:
         balls, said = finder.find(window)
@@ -180,8 +181,8 @@ def measure_ball_parity(
 ) -> Parity:
     """Compare torch with ONNX Runtime for some numbers of balls, from the frames on.
 
-    The prompts lie on a spiral over the frame, on balls and beside them: what is seen there need
-    not be a ball to be compared.
+    The prompts lie on a spiral over the frame, on balls and beside them: the comparison does
+    not require a ball there.
 
     Raises
     ------
@@ -217,8 +218,11 @@ def _card(
 FieldNet for 1 to {MAX_BALLS} balls, which point prompts may select. A detector finds the balls in
 the frames at 128 x 128 pixels, and a refiner reads patches that are cut from the frames at their
 full size. The motion was trained on rollouts of {trained.horizon} steps at {FRAME_RATE_HZ:g} Hz,
-from frames of {rates}, whose rate the model is told.
+from frames of {rates}; the frame rate is an input of the model.
 
+- Architecture: {ARCHITECTURES["field"]}, after a detector and a
+  patch refiner. Supervision: positions, visibility, radii, angular velocities, ground maps,
+  heights, 3-D velocities.
 - Trained on {trained.sequences:,} windows of simulated scenes ({sources}), as they are and with
   random appearances, and of planar scenes with up to {MAX_BALLS} balls.
 - Uncertainty: predicted by the network, times a scale per step fitted on validation scenes.
@@ -229,8 +233,9 @@ from frames of {rates}, whose rate the model is told.
 ## Measured
 
 Errors are in pixels of 128 x 128 frames, the mean over test scenes from the fixed test start. The
-model receives no prompts and no number of balls: the balls that most surely move are compared with
-the true balls nearest to them at t = 0. T is the horizon, so the error is that of step T - 1.
+model receives no prompts and no number of balls: the balls with the highest confidence of motion
+are compared with the true balls nearest to them at t = 0. T is the horizon, so the error is that of
+step T - 1.
 
 ### 1 ball, test
 

@@ -86,7 +86,7 @@ def export(
     validation: Sequence[EvaluationSet[Shown]],
     test: Sequence[EvaluationSet[Shown]],
 ) -> Manifest:
-    """Write ``models/NAME/VERSION`` and validate that it computes what torch does.
+    """Write ``models/NAME/VERSION`` and verify that its outputs equal those of torch.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def export(
         When torch and ONNX Runtime differ by more than the tolerance.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    # That of an earlier export in this place; training.export.ood_fit writes it anew.
+    # The file of an earlier export; training.export.ood_fit writes a new one.
     (folder / OOD_FILE).unlink(missing_ok=True)
     task = trained.recipe.task
     predictor = trained.predictor.cpu().eval()
@@ -160,7 +160,7 @@ def export(
 
 @dataclass(frozen=True)
 class EvaluationSummary:
-    """What a manifest says of a model's forecasts."""
+    """Accuracy and covariances of a model's forecasts, for its manifest."""
 
     covariance: CovarianceSource
     rows: tuple[MetricRow, ...]
@@ -251,7 +251,7 @@ def validated(worst: Mapping[OutputName, float]) -> Parity:
 
 
 def fit_covariance(forecasts: Mapping[Key, Forecasts]) -> CovarianceSource:
-    """Fit what the manifest says of uncertainty, on validation forecasts up to T_gen.
+    """Fit the covariances of the manifest on validation forecasts up to T_gen.
 
     A network that predicts covariances gets a variance scale at every step: the largest of those
     with which its ellipses of CALIBRATED shares hold as many truths, since too sure is worse than

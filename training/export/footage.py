@@ -34,7 +34,7 @@ def export_setup(
     folder
         Of the run.
     clips
-        What it was trained on. Covariances are fitted on the validation clips, the card reports the
+        Clips of the training. Covariances are fitted on the validation clips, the card reports the
         test clips.
 
     Raises
@@ -67,7 +67,7 @@ def evaluation_set(clips: Clips, split: Split) -> EvaluationSet:
 
 
 def _filmed(clips: Clips) -> FootageSpec:
-    """Return what a model tells of its footage; cameras of one set-up are set up alike."""
+    """Return the description of the footage of a model, from its first clip."""
     first = clips.clips[0]
     windows = {clip.name: 0 for clip in clips.clips}
     for place in clips.places(T_GEN):

@@ -1,4 +1,4 @@
-"""Reads parameters back from a deployed artefact: training goes on from what is committed."""
+"""Parameters of deployed artefacts, from which training continues."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def read_parameters(folder: Path) -> dict[str, torch.Tensor]:
 
 
 def read_initial(folder: Path) -> Initial:
-    """Return what a training that goes on from an exported model starts with."""
+    """Return the initial network of a training that continues an exported model."""
     manifest = Manifest.read(folder / MANIFEST_FILE)
     sequences = manifest.training["sequences"]
     assert isinstance(sequences, int)
@@ -35,7 +35,7 @@ def read_initial(folder: Path) -> Initial:
 
 
 def initial_networks(folder: Path) -> list[Initial]:
-    """Return what a training starts with: an exported model, or the best networks of a run."""
+    """Return the initial networks of a training: an exported model, or the best of a run."""
     if not (folder / BEST).exists():
         return [read_initial(folder)]
     best = read_best(folder)
@@ -43,7 +43,7 @@ def initial_networks(folder: Path) -> list[Initial]:
 
 
 def any_ball_from(models: Path) -> AnyBallNet:
-    """Return the network for any number of balls with what committed models know."""
+    """Return the network for any number of balls with the parameters of committed models."""
     one, several = (read_parameters(models / name / "1") for name in ("fieldnet", "fieldnet-3"))
     return warm_network(one, several)
 

@@ -1,7 +1,7 @@
 """A network as the graphs that are exported, and the graphs run again.
 
-Torch's parameters keep their names as initialisers, so the committed artefact is also what later
-training starts from.
+Initialisers have the names of torch's parameters, so later training can start from the committed
+artefact.
 """
 
 import warnings
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 STATE_NAMES = State._fields
 READ_NAMES = PerceptionOutput._fields[1:-1]
-"""What an encoder reads; where a final frame is seen, the places there too."""
+"""Inputs of an encoder; with a final frame, the positions there too."""
 _OWN_PREFIX = "network."
 
 
@@ -72,7 +72,7 @@ class ReadEncoderGraph(torch.nn.Module):
         features: Tensor,
         finals: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
-        """Turn what was read into the state and the first observation, as positional tensors."""
+        """Turn perception outputs into the state and the first observation, positional tensors."""
         perceived = PerceptionOutput(
             (), ground, scene_constants, centres, velocities, spins, features
         )
@@ -112,7 +112,7 @@ def write_graphs(predictor: Network, frames: Tensor, folder: Path) -> None:
     Parameters
     ----------
     frames
-        [B, K, 128, 128, 3], what the network is traced with.
+        [B, K, 128, 128, 3], with which the network is traced.
     """
     outputs = list(first_observation(predictor, frames))
     encoded = [*STATE_NAMES, *outputs]
@@ -173,7 +173,7 @@ def write_graph(
     with warnings.catch_warnings():
         # Tensors share their free axes; torch warns that it keeps one name for each.
         warnings.filterwarnings("ignore", message="# The axis name")
-        # torch's exporter calls what torch itself has deprecated.
+        # torch's exporter calls deprecated functions of torch.
         warnings.filterwarnings("ignore", message=".isinstance.treespec", category=FutureWarning)
         torch.onnx.export(
             module.eval(), arguments, path, input_names=list(inputs), output_names=list(outputs),
@@ -266,7 +266,7 @@ def present(observation: Observation) -> tuple[Tensor, ...]:
 
 
 def first_observation(predictor: Network, frames: Tensor) -> dict[OutputName, Tensor]:
-    """First observation by output name, without what the network does not have."""
+    """Return the first observation by output name."""
     with torch.inference_mode():
         observation = predictor.observe_first(predictor.start(frames))
     return observation.outputs()

@@ -1,6 +1,6 @@
-"""Fits what tells frames that a model does not know.
+"""Fit of the two thresholds of out-of-distribution frames.
 
-Two signs: an out-of-distribution score of the frames (decision 0120), and the standard deviation of
+They are an out-of-distribution score of the frames (decision 0120), and the standard deviation of
 a ball's place at t = 0 (decision 0145).
 """
 
@@ -37,22 +37,22 @@ LOST_ALARMS = 0.02
 """Share of the validation windows in which a ball counts as lost: a wrong alarm costs little, since
 the model for out-of-distribution frames finds these balls, too."""
 FOUND_PX = 0.5
-"""Standard deviation of a place up to which a ball is found, whatever is usual."""
+"""Minimum threshold of the standard deviation of a position."""
 PLACED_A_SCENE = 4
 """Windows of a scene in which a network places the balls, for the threshold of its certainty."""
 CLIP_FRAMES_BETWEEN = 3
 LEAST_VARIANCE = 1e-6
-"""Relative to the largest: of few windows some numbers do not vary at all."""
+"""Minimum variance relative to the largest: some numbers do not vary over few windows."""
 FALSE_ALARMS = 0.005
 """Share of the validation windows that the threshold leaves above it."""
 OOD_SCENES = 100
-"""Of the training split, and as many of the validation split, that suffice."""
+"""Number of windows of the training split, and of the validation split."""
 TEST_SCENES = 500
 SEED = 120
 
 
 def fit_ood_detectors(folders: Sequence[Path], scenes: int, workers: int) -> list[Manifest]:
-    """Fit, and write into artefacts, what the frames look like that they were trained on.
+    """Fit the statistics of the training frames and write them into artefacts.
 
     Artefacts for the same scenarios and number of balls get the same file.
 
@@ -105,7 +105,7 @@ def calibrate_threshold(
 
 
 def fit_clip_ood_detector(folder: Path, clips: Mapping[Split, Clips]) -> Manifest:
-    """Fit, and write into an artefact, what the clips look like that it was trained on.
+    """Fit the statistics of the training clips and write them into an artefact.
 
     Windows begin every few frames of the training clips, under any of the square's symmetries; the
     threshold is chosen on the validation clips, the false alarms are counted on the test clips.

@@ -1,4 +1,4 @@
-"""A network that has been trained, with what is said of it when it is exported."""
+"""Trained network with the metadata of its export."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -34,11 +34,11 @@ class Trained:
     horizon: int
     """Steps of the longest rollouts that trained its weights."""
     filmed: FootageSpec | None = None
-    """Of a network for footage."""
+    """Footage of the training; None for simulated scenes."""
 
     @property
     def scenarios(self) -> tuple[Domain, ...]:
-        """What it knows."""
+        """Domains of the network."""
         return self.recipe.scenarios if self.filmed is None else ("footage",)
 
     @property

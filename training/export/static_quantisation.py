@@ -33,18 +33,19 @@ from training.common.settings import keep_runtime_silent
 from training.data.windows import collate, compared_horizon
 from training.evaluation.evaluate import EvaluationSet, evaluation_sets, markdown_table
 from training.export.export import EvaluationSummary, evaluate, hashes
+from training.export.model_card import ARCHITECTURES
 from training.export.onnx_graphs import Graphs, drop_traces
 from training.export.weight_rounding import store_in_bytes
 from training.objectives.metrics import Forecasts, beside_truth
 
 KEPT_IN_FLOAT = ("perception.first.where.", "perception.first.ground.")
-"""Convolutions whose outputs are what is read: their rounding would cost most."""
+"""Prefixes of output convolutions, whose rounding has the largest effect."""
 
 LEAST_GAIN = 1.5
 MOST_LOSS_PX = 0.2
 VALIDATION_SCENES = 100
 CALIBRATION_WINDOWS = 20
-"""Of every scenario."""
+"""Calibration windows of every scenario."""
 BATCH = 50
 TIMED_FORECASTS = 40
 
@@ -120,7 +121,7 @@ def write_quantised(source: Path, to: Path, frames: np.ndarray) -> None:
     Parameters
     ----------
     frames
-        [B, K, 128, 128, 3], what the ranges of the activations are measured on.
+        [B, K, 128, 128, 3], on which the ranges of the activations are measured.
     """
     keep_runtime_silent()
     from onnxruntime.quantization import (
@@ -141,7 +142,7 @@ def write_quantised(source: Path, to: Path, frames: np.ndarray) -> None:
             return None if row is None else {FRAMES_INPUT: row[None]}
 
     with tempfile.TemporaryDirectory() as temporary:
-        # Weights in bytes, with what makes float32 of them (decision 0017), become constants.
+        # 8-bit weights and their dequantisation (decision 0017) are folded into constants.
         folded = Path(temporary) / source.name
         quant_pre_process(source, folded, skip_symbolic_shape=True)
         nodes = onnx.load(folded).graph.node
@@ -233,6 +234,9 @@ def _card(float32: Manifest, version: int, comparison: str, summary: EvaluationS
 Measured on {VALIDATION_SCENES} validation scenes per scenario, on one thread of a processor with
 8-bit dot product instructions; without them the speed-up is smaller. The training, the limits and
 the licence in the card of {float32.label} apply to this version too.
+
+- Architecture: {ARCHITECTURES[float32.preset]},
+  with 8-bit convolutions in its perception. Supervision: none; {float32.label} was quantised.
 
 ## Measured
 

@@ -13,7 +13,7 @@ from onnx import numpy_helper
 
 LARGEST = 127
 SCALE = "/scale"
-"""After a parameter's name: that of its rows' scales."""
+"""Suffix of a parameter's name for the scales of its rows."""
 _SMALLEST_ROUNDED = 4096
 """Parameters of a tensor for which a scale and two nodes are worth it."""
 _SCALE_DIGITS = 12

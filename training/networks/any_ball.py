@@ -41,36 +41,36 @@ from training.networks.recurrent import (
 )
 
 PASSES = 2
-"""Times that patches are cut: the second time they are centred already."""
+"""Number of refinement passes; the patches of the second one are centred on the first result."""
 
 
 class Seen(NamedTuple):
-    """What is seen of every ball, [B, N, ...]."""
+    """Outputs of the refiner for every ball, [B, N, ...]."""
 
     rough: Tensor
-    """[B, N, K, 2] in the seen frames, as convolution alone has it."""
+    """Positions [B, N, K, 2] in the observed frames, by convolution only."""
     outline: Tensor
-    """[B, N, K, 2] the same, by the balls' edges."""
+    """Positions [B, N, K, 2] by the edges of the balls."""
     edges: Tensor
-    """[B, N, K, RAYS, RAY_SAMPLES] logits of the edge along rays from the rough place."""
+    """Logits [B, N, K, RAYS, RAY_SAMPLES] of the edge along rays from the rough position."""
     reach: Tensor
-    """[B, N] half of the length of the rays, whose middle is at the radius."""
+    """Half lengths [B, N] of the rays, whose middle is at the radius."""
     places: Tensor
-    """[B, N, K, 2] the same, as exact as can be."""
+    """Positions [B, N, K, 2], the final estimate."""
     radii: Tensor
-    """[B, N]."""
+    """Radii [B, N]."""
     visible: Tensor
-    """[B, N, K] logits."""
+    """Logits [B, N, K] of visibility."""
     log_sigmas: Tensor
-    """[B, N, 2]: standard deviations of the last place and of the last displacement."""
+    """Logarithms [B, N, 2] of the standard deviations of last position and displacement."""
     features: Tensor
-    """[B, N, FEATURES]."""
+    """Features [B, N, FEATURES]."""
 
 
 def seen_balls(
     places: Tensor, radii: Tensor, visible: Tensor, log_sigmas: Tensor, features: Tensor
 ) -> Seen:
-    """Return what is seen, without the parts that only the loss reads."""
+    """Return the outputs without the parts that only the loss uses."""
     none = places[..., :0]
     return Seen(none, none, none, none, places, radii, visible, log_sigmas, features)
 
@@ -80,11 +80,11 @@ class Beginning(NamedTuple):
 
     centres: Tensor
     velocities: Tensor
-    """A step of the forecast."""
+    """Displacements per step of the forecast."""
     spins: Tensor
-    """Units of 20 rad/s, world axes."""
+    """Angular velocities in units of 20 rad/s, world axes."""
     constants: Tensor
-    """[B, N, 2]: see :func:`training.networks.perception.scene_constants_of`, each ball's own."""
+    """Constants [B, N, 2] of :func:`training.networks.perception.scene_constants_of` by ball."""
 
 
 class BallPerception(nn.Module):
@@ -109,7 +109,7 @@ class BallPerception(nn.Module):
         frames_BKHW3
             Square frames of any size.
         """
-        # What is seen is what learns, not the way to a better patch.
+        # Gradients flow through the content of patches, not through their positions.
         widths, places_BNK2 = half_widths(radii_BN.detach()), places_BNK2.detach()
         patches = cut_patches(frames_BKHW3, places_BNK2, widths)
         seen = self.seen(patches, places_BNK2, widths)
@@ -118,7 +118,7 @@ class BallPerception(nn.Module):
         return self.refine(frames_BKHW3, seen.places, seen.radii, passes - 1)
 
     def seen(self, patches_BNK3PP: Tensor, places_BNK2: Tensor, widths_BN: Tensor) -> Seen:
-        """Return what patches around places show."""
+        """Return the outputs of patches around positions."""
         batch = widths_BN.shape
         said = self.refiner(patches_BNK3PP.flatten(0, 1))
         rough, outline, edges, reach, offsets, log_radius, visible, log_sigmas, features = (
@@ -139,7 +139,7 @@ class BallPerception(nn.Module):
     def begin(
         self, seen: Seen, ground_B3GG: Tensor, scene_B2: Tensor, spacing_B: Tensor
     ) -> Beginning:
-        """Balls at t = 0: rise and spin are read as what differs from rolling without slipping.
+        """Return the balls at t = 0; rise and spin are offsets from rolling without slipping.
 
         Parameters
         ----------
@@ -196,7 +196,7 @@ class AnyBallNet(nn.Module):
     def begin(
         self, seen: Seen, ground_B3GG: Tensor, scene_B2: Tensor, spacing_B: Tensor
     ) -> tuple[State, Beginning]:
-        """h_0 from what was seen, see :meth:`BallPerception.begin`."""
+        """Return h_0 from the refiner's outputs, see :meth:`BallPerception.begin`."""
         balls = self.perception.begin(seen, ground_B3GG, scene_B2, spacing_B)
         return self.state(seen, balls, ground_B3GG, spacing_B), balls
 

@@ -29,33 +29,33 @@ _RARE = -4.0
 
 
 class BallMaps(NamedTuple):
-    """What the cells of the frame say of the ball that they lie on."""
+    """Outputs of the cells of the frame for the ball at the cell."""
 
     heat: Tensor
-    """[B, G, G] logits: whether the cell holds the centre of a ball in the last frame."""
+    """Logits [B, G, G] of the centre of a ball in the cell, in the last frame."""
     moving: Tensor
-    """[B, G, G] logits: whether the ball moves."""
+    """Logits [B, G, G] of motion."""
     places: Tensor
-    """[B, K, 2, G, G]: its centre in every seen frame."""
+    """Centres [B, K, 2, G, G] in every observed frame."""
     log_radius: Tensor
-    """[B, G, G]."""
+    """Logarithms [B, G, G] of radii."""
     ground: Tensor
-    """[B, 3, G, G]: see :mod:`training.data.rest_height_map`."""
+    """Ground maps [B, 3, G, G], see :mod:`training.data.rest_height_map`."""
     scene: Tensor
-    """[B, 2]: see :func:`training.networks.perception.scene_constants_of`."""
+    """Scene constants [B, 2], see :func:`training.networks.perception.scene_constants_of`."""
 
 
 class Candidates(NamedTuple):
-    """Balls that may be there."""
+    """Candidates of the detector."""
 
     places: Tensor
-    """[B, N, K, 2] in the seen frames."""
+    """Positions [B, N, K, 2] in the observed frames."""
     radii: Tensor
-    """[B, N]."""
+    """Radii [B, N]."""
     scores: Tensor
-    """[B, N], 0..1."""
+    """Confidence [B, N] of presence, 0..1."""
     moving: Tensor
-    """[B, N], 0..1."""
+    """Confidence [B, N] of motion, 0..1."""
 
 
 class BallDetector(CoarseDetector):
@@ -111,7 +111,7 @@ def peaks(maps: BallMaps) -> Candidates:
 
 
 def voted(maps: BallMaps, points_BN2: Tensor) -> Candidates:
-    """Return what the cells under some points say of the balls there."""
+    """Return the votes of the cells at points."""
     layers = torch.cat(
         [
             maps.places.flatten(1, 2), maps.log_radius[:, None],

@@ -102,7 +102,7 @@ class ConvTransition(nn.Module):
     Parameters
     ----------
     interaction
-        What lets the balls know of each other; None moves each alone.
+        Interaction between balls; None moves every ball independently.
     """
 
     def __init__(

@@ -22,7 +22,7 @@ HEADS: Mapping[str, Callable[[int], Head]] = {
     "probnet": probnet.compact_head,
     "interpnet": interpnet.compact_head,
 }
-"""What tells the variants apart."""
+"""Heads by variant."""
 
 
 def compact_family(variants: Mapping[str, str], task: Task) -> Family:

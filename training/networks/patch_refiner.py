@@ -41,34 +41,34 @@ SMALLEST_CONTRAST = 0.04
 
 
 class Refined(NamedTuple):
-    """What patches around M balls show."""
+    """Outputs for patches around M balls."""
 
     rough: Tensor
-    """[M, K, 2] of the ball's centre from that of the patch in every frame, by convolution alone;
+    """Offsets [M, K, 2] of the centre from that of the patch in every frame, by convolution only;
     for the loss."""
     outline: Tensor
-    """[M, K, 2] the same, by the circle that fits the ball's edge; for the loss."""
+    """Offsets [M, K, 2] by the circle that fits the edge of the ball; for the loss."""
     edges: Tensor
-    """[M, K, RAYS, RAY_SAMPLES] logits of the edge on every ray; for the loss."""
+    """Logits [M, K, RAYS, RAY_SAMPLES] of the edge on every ray; for the loss."""
     reach: Tensor
-    """[M] half of a ray's length."""
+    """Half lengths [M] of the rays."""
     offsets: Tensor
-    """[M, K, 2] the same, as exact as can be."""
+    """Offsets [M, K, 2], the final estimate."""
     log_radius: Tensor
-    """[M] of the ball's radius over the patch's half width."""
+    """Logarithms [M] of the radius relative to half the width of the patch."""
     visible: Tensor
-    """[M, K] logits: whether the ball is seen there."""
+    """Logits [M, K] of visibility."""
     log_sigmas: Tensor
-    """[M, 2]: standard deviations of the last offset and of the last displacement, logarithms."""
+    """Logarithms [M, 2] of the standard deviations of last offset and displacement."""
     features: Tensor
-    """[M, FEATURES]: what else the patches show."""
+    """Features [M, FEATURES] for the motion."""
 
 
 class Registration(nn.Module):
     """Displacement between the patches of neighbouring frames, at two scales.
 
     The step solves A d = b over the ball: A sums the products of the features' gradients, b those
-    of gradients and changes, so d is exact for small displacements of what does not change.
+    of gradients and changes, so d is exact for small displacements of a constant appearance.
     """
 
     disc: Tensor
@@ -212,7 +212,7 @@ class Outline(nn.Module):
 
 
 class PatchRefiner(nn.Module):
-    """Patches of balls, all frames of one side by side, to what they show of it."""
+    """Network from the patches of a ball in all frames to its positions, radius and features."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -12,7 +12,7 @@ from rollcast.outputs import OUTPUTS, SPECS, OutputName
 from training.networks.blocks import PIXEL_UNIT
 
 ANGULAR_VELOCITY_UNIT = 20.0
-"""rad/s per unit of the networks' read-out; unscaled, its loss would dominate that of positions."""
+"""Angular velocity in rad/s per unit of the networks' read-out, which balances the losses."""
 
 LARGEST_VARIANCE_PX2 = 100.0
 SMALLEST_VARIANCE_PX2 = 0.01

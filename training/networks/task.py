@@ -1,4 +1,4 @@
-"""What a network is made for: how many balls, which frames, which outputs."""
+"""Task of a network: number of balls, frames, outputs."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -6,7 +6,7 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Task:
-    """What a network is made for.
+    """Task of a network.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 """The paper's own networks: VGG16 to conv5 and perceptron read-outs (paper, section 5.2).
 
-What the paper leaves open: convolutions begin with He's Gaussian, positions count in halves of the
-frame, PosNet's first perceptron layer has 256 units.
+Choices that the paper leaves open: He's Gaussian initialises convolutions, positions are in halves
+of the frame, PosNet's first perceptron layer has 256 units.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,13 +30,13 @@ from training.networks.task import Task
 VGG16 = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
 """Output channels of the convolutions between two poolings."""
 ALONE_CHANNELS, SHARED_CHANNELS = 512, 256
-"""Of the state of one ball, and of each of several."""
+"""Channels of the state of one ball, and of each of several."""
 HIDDEN = 256
 
 POINT = (PIXEL_UNIT,) * 2
 GAUSSIAN = (*POINT, 1.0, 1.0, 1.0)
 SPIN = (ANGULAR_VELOCITY_UNIT,) * 3
-"""Units of what is read out, in pixels and rad/s."""
+"""Units of the outputs, in pixels and rad/s."""
 
 Layer = TypeVar("Layer", nn.Conv2d, nn.Linear)
 
@@ -81,7 +81,7 @@ class PlainTransition(nn.Module):
         self.interaction = interaction
         seen = channels if interaction is None else 2 * channels
         self.first = _gaussian(nn.Conv2d(seen, 256, 3, padding=1))
-        # Nothing rectifies what it says: He's Gaussian would double the state's power every step.
+        # No rectifier follows: He's Gaussian would double the state's power every step.
         self.second = _gaussian(nn.Conv2d(256, channels, 3, padding=1), "linear")
 
     def forward(self, s_BNCHW: Tensor) -> Tensor:
@@ -94,8 +94,8 @@ class PlainTransition(nn.Module):
 class Perceptron(nn.Module):
     """Dense read-out of the whole state: one layer, or two over aug_xy(s_t).
 
-    Its last layer says pixels and rad/s, whatever the units outside: sums of 32,768 numbers move
-    too far with every step of RMSProp for anything larger.
+    Its last layer outputs pixels and rad/s, independent of the units outside: with larger units,
+    sums of 32,768 numbers change too much with every step of RMSProp.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def load_imagenet(encoder: VggEncoder, path: Path) -> int:
 
 
 def _gaussian(layer: Layer, follows: Literal["relu", "linear"] = "relu") -> Layer:
-    """Draw a layer's weights from the Gaussian that keeps the power of what passes (He et al.)."""
+    """Draw a layer's weights from the Gaussian that preserves the signal's power (He et al.)."""
     nn.init.kaiming_normal_(layer.weight, nonlinearity=follows)
     if layer.bias is not None:
         nn.init.zeros_(layer.bias)

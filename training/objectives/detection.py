@@ -1,4 +1,4 @@
-"""What a perception of any number of balls minimises: heat, votes, and what patches show."""
+"""Losses of the perception of any number of balls: heat, votes, outputs of patches."""
 
 import torch
 from torch import Tensor
@@ -15,7 +15,7 @@ from training.objectives.losses import known_difference, smooth_distance
 
 CELL = 2 / MAP_CELLS
 MOST_HIDDEN = 0.5
-"""Share of a ball that may be hidden in the last frame of a prompted ball."""
+"""Hidden fraction in the last frame above which a ball has no loss."""
 
 
 class DetectionLoss:
@@ -162,7 +162,7 @@ class RefinementLoss:
             "places": self.places * (weight * placed).sum() / count,
             "displacements": self.displacement * (weight * shifted).sum() / count,
             "radius": self.radius * (there * unlike).sum() / count,
-            # Where there is no ball, that is what there is to say.
+            # Patches without a ball train only the visibility.
             "visible": self.visible * hidden.mean(),
             "covariance": self.covariance * (there * self._nll(seen, off)).sum() / count,
         }

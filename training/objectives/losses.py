@@ -1,7 +1,7 @@
-"""Losses over a rollout; the paper's and what the compact preset uses instead.
+"""Losses over a rollout: those of the paper and of the compact preset.
 
 The loss of a network is that of its positions plus that of its angular velocities (paper, section
-5.1). What is NaN in the truth is not known, and costs nothing.
+5.1). True values that are NaN are unknown and have no loss.
 """
 
 import math
@@ -153,23 +153,23 @@ class DetachedNllLoss:
 
 
 class PerceptionLoss:
-    """Perception outputs against the truth: pixels, weighed by their use in forecasts.
+    """Loss of perception outputs in pixels, weighted by their effect on forecasts.
 
-    Closer passes weigh more than the first, velocities most: their errors grow with every step.
-    NaN in the truth is not known and costs nothing: of footage there are only places.
+    Refined passes have larger weights than the coarse one, velocities the largest, because their
+    errors grow with every step. True values that are NaN have no loss: footage has positions only.
 
     Parameters
     ----------
     within_reach
-        Whether a closer pass counts only where the pass before it left the ball in its patch:
-        what it says of patches without a ball is noise.
+        Whether a refined pass has a loss only if the previous pass left the ball in its patch:
+        outputs of patches without a ball are noise.
     """
 
     passes = (0.3, 0.5, 1.5, 1.5)
-    """Weights of the first pass, the closer passes and, where there is one, the zoomed pass."""
+    """Weights of the coarse pass, the refined passes and, if present, the zoomed pass."""
     displacement = 1.5
-    """Of what lies between two seen frames, by the last pass: errors that all frames share do not
-    matter to it."""
+    """Weight of displacements between observed frames in the last pass, which errors common to all
+    frames do not affect."""
     radius = 2.0
     height = 0.5
     velocity = 3.0
@@ -193,8 +193,8 @@ class PerceptionLoss:
         Parameters
         ----------
         shake_BK2
-            Shift of the picture in the seen frames, halves of the frame: it moves what is seen, not
-            the ball.
+            Shift of the picture in the observed frames, halves of the frame: it moves the image,
+            not the ball.
         radii_BN
             Of the balls in the picture, halves of the frame.
         """
@@ -276,7 +276,7 @@ class MotionLoss:
 
 
 def final_loss(forecast: Observation, final_positions_BN2: Tensor) -> Tensor:
-    """Mean distance in pixels between what h_0 says of the final frame and the truth."""
+    """Mean distance in pixels between the final positions in h_0 and the true ones."""
     assert forecast.final_positions is not None
     return smooth_distance(forecast.final_positions - final_positions_BN2, 0.5).mean()
 

@@ -1,4 +1,4 @@
-"""What is measured of a forecast, in 128-pixel units, rad/s and nats."""
+"""Metrics of forecasts, in pixels of 128 x 128 frames, rad/s and nats."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

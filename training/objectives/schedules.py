@@ -21,7 +21,7 @@ class Schedule(Protocol):
         ...
 
     def state(self) -> dict[str, Any]:
-        """Return what :meth:`restore` needs."""
+        """Return the state for :meth:`restore`."""
         ...
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -104,7 +104,7 @@ class Plateau:
         return self._epochs_without >= self._end_after
 
     def state(self) -> dict[str, Any]:
-        """Return what :meth:`restore` needs."""
+        """Return the state for :meth:`restore`."""
         return dict(vars(self))
 
     def restore(self, state: dict[str, Any]) -> None:

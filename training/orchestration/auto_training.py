@@ -54,7 +54,7 @@ class Line:
 
 @dataclass(frozen=True)
 class RoundResult:
-    """What a finished round gave: mean validation errors in pixels."""
+    """Result of a finished round: mean validation errors in pixels."""
 
     error_before_px: float | None
     error_px: float
@@ -84,7 +84,7 @@ def lines() -> tuple[Line, ...]:
         Line(field_one_ball_interpolation(), parents=("fieldnet",)),
         Line(field_several_balls_interpolation(2), parents=("fieldnet-2",)),
         Line(field_several_balls_interpolation(3), parents=("fieldnet-3",)),
-        # Perception comes from the first, parameters that the first lacks from the others.
+        # The perception comes from the first, parts that the first lacks from the others.
         Line(perception_init_one_ball(), parents=("fieldnet",)),
         Line(perception_init_one_ball_interpolation(), parents=("fieldnet", "dispnet")),
         Line(
@@ -100,9 +100,9 @@ def lines() -> tuple[Line, ...]:
 
 
 def next_rounds(known: Sequence[Line], folder: Path, models: Path, sequences: int) -> list[Round]:
-    """Choose what to train next; nothing when no family improves enough any more.
+    """Choose the next rounds; none if no family improves enough.
 
-    The most urgent round comes first. None begins with what another one makes, so that they can be
+    The most urgent round comes first. None starts from the result of another one, so they can be
     trained side by side.
 
     Parameters
@@ -178,14 +178,14 @@ def newest(models: Path, name: str) -> Path | None:
 
 
 def initial_of(chosen: Round, models: Path) -> list[Initial]:
-    """Return what a round begins with: the family's committed models, or its line's parents."""
+    """Return the initial networks of a round: committed models, or the parents of its line."""
     own = own_models(chosen.recipe, models)
     parents = [folder for name in chosen.line.parents if (folder := newest(models, name))]
     return [read_initial(folder) for folder in own or parents]
 
 
 def train(chosen: Round, models: Path, config: TrainerConfig) -> RoundResult:
-    """Train a round to its end; return what it gave."""
+    """Train a round to its end and return its result."""
     before = committed_errors(chosen.recipe, models)
     trainer = Trainer(chosen.recipe, chosen.folder, config, initial_of(chosen, models))
     error = trainer.run()
@@ -194,10 +194,10 @@ def train(chosen: Round, models: Path, config: TrainerConfig) -> RoundResult:
 
 
 def finish(chosen: Round, outcome: RoundResult) -> None:
-    """Write down what a round gave, once its models are exported: it is not trained again."""
+    """Record the result of a round whose models are exported, so it is not repeated."""
     (chosen.folder / OUTCOME).write_text(json.dumps(asdict(outcome)) + "\n", encoding="utf-8")
 
 
 def read_outcome(folder: Path) -> RoundResult:
-    """Read what a finished round gave."""
+    """Read the result of a finished round."""
     return RoundResult(**json.loads((folder / OUTCOME).read_text("utf-8")))

@@ -36,7 +36,7 @@ def connected(address: str) -> AbstractContextManager[object]:
 def on_ray(address: str) -> Makers:
     """Make shards as tasks of a cluster, as many at a time as it has cores.
 
-    What a worker or a node was at when it died is done again by another one.
+    Another worker repeats the task of a worker or node that died.
     """
 
     def make(shards: Sequence[Shard]) -> Iterator[object]:
@@ -97,7 +97,7 @@ def train_rounds(
     Returns
     -------
     list
-        What each round gave, in their order.
+        Results of the rounds, in their order.
     """
 
     def trial(config: dict[str, int]) -> None:

@@ -72,7 +72,7 @@ def warm_network(one_ball: Mapping[str, Tensor], several: Mapping[str, Tensor]) 
             continue
         shape = own[new].shape
         if value.shape != shape:
-            # What is told of encounters, or of the frames' spacing, stands last.
+            # Inputs for encounters, or for the frames' spacing, are the last columns.
             wide = several[name] if several[name].shape == shape else torch.zeros(shape)
             value = torch.cat([value, wide[:, value.shape[1] :]], dim=1)
         taken[new] = value

@@ -22,7 +22,8 @@ FIELD_DATA = (
     DataShare(Source("hemisphere", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
     DataShare(Source("ellipsoid", radius_m=SMALL_RADIUS_M), 200, 0.02, 200),
 )
-"""The same distributions with more scenes, because the perception limits an explicit state."""
+"""Distributions of the compact recipes with more scenes, because the perception limits an
+explicit state."""
 
 
 def field_one_ball() -> Recipe:

@@ -140,7 +140,7 @@ class Recipe:
     """Horizon of the training of the ``frozen`` parts."""
 
     appearances: AppearanceMixture | None = None
-    """Appearance of training windows; None for the paper's appearance alone."""
+    """Appearances of training windows; None for the paper's only."""
 
     def build(self) -> Family:
         """Create the untrained networks."""

@@ -28,15 +28,15 @@ from training.recipes.setup import T_TRAIN, setup, setup_continued, setup_seeing
 from training.reporting.footage_report import Measured, SetupClips, markdown, measure, rows_of
 
 BEGIN, END = "<!-- made by `python -m training real` -->", "<!-- end of it -->"
-"""Between these marks of the page stands what was measured."""
+"""Marks around the measured part of the page."""
 MODELS = Path(__file__).parents[2] / "models"
 ONE_BALL, SEVERAL_BALLS = MODELS / "fieldnet" / "1", MODELS / "fieldnet-3" / "1"
-"""What simulation taught."""
+"""Models from simulated scenes."""
 PERCEPTION = MODELS / "any-ball" / "1"
-"""What tracks the clips."""
+"""Model that tracks the clips."""
 STAGES = {1: (setup, setup_continued), 4: (setup, setup_seeing, setup_continued)}
-"""Trainings on the arena, each of which goes on from the one before, by number of balls: four that
-look alike are what perception has to learn first."""
+"""Consecutive trainings on the arena by number of balls: four similar balls require a training of
+the perception."""
 SEEING = ("vin", "v-lstm")
 """Baselines that take hours with four balls: V-LSTM has a network for each."""
 VALIDATE_EVERY = 125
@@ -53,7 +53,7 @@ class FootageSource:
     name
         Of its folder beside the runs.
     clips
-        Files, and what the page calls them.
+        Files with their titles on the page.
     """
 
     name: str
@@ -86,7 +86,7 @@ class Shot:
 
     @property
     def title(self) -> str:
-        """What the page calls it."""
+        """Title on the page."""
         (title,) = self.filmed.clips.values()
         return title
 
@@ -125,7 +125,7 @@ SHOTS = (Shot(POOL[0], 0, 18, 178), Shot(POOL[1], 1, 27, 49))
 
 
 def make(source: Path, page: Path, baselines: Sequence[str]) -> Iterator[str]:
-    """Track, train and measure what has not been, and write the page; yield what is done.
+    """Run missing tracking, training and measurements and write the page; yield progress.
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ def measure(
     Parameters
     ----------
     baselines
-        Of :data:`BASELINES`; those that learn are trained if they have not been.
+        Names from :data:`BASELINES`; trainable ones are trained unless a run exists.
     trained
         Recipes whose runs are there, for as many balls as the setup has.
     """

@@ -1,4 +1,4 @@
-"""Writes what people read of the results: the README's table and ``docs/results.md``."""
+"""Markdown of the results: the README's table and ``docs/results.md``."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ END = "<!-- end of results -->"
 
 
 def with_results(text: str, manifests: Sequence[Manifest]) -> str:
-    """Replace what stands between the marks of ``text`` by the table of ``manifests``.
+    """Replace the text between the marks of ``text`` by the table of ``manifests``.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def page(results: Results, scenes: int) -> str:
 
 
 def title(scenario: Scenario, objects: int, condition: str = "") -> str:
-    """Name a group of results, with what is special about its scenes."""
+    """Return the title of a group of results, with the condition of its scenes."""
     return ", ".join(filter(None, (scenario, _balls(objects), condition)))
 
 
@@ -88,7 +88,7 @@ Errors of every committed model on the first {scenes} scenes of the test split, 
 start. The test split is not used in training. Errors are in pixels of 128 x 128 frames. T is the
 horizon, so the error at T is the error of step T - 1; "worst step" is the step with the largest
 mean error. "Constant position" is the true position at t = 0, "linear extrapolation" a line through
-ten true positions (t = -3..6). The covariances are those that the service returns: the network's
+ten true positions (t = -3..6). The covariances are those of the service: the network's
 own covariances times a scale per step, which was fitted on validation scenes, or the covariance of
 the residuals on validation scenes. The paper's networks were each trained on about 17 million
 sequences, supervised by positions and angular velocities alone. The committed models were also

@@ -37,9 +37,9 @@ _LINES = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
 _MOST_INSIDE = 10
 """Methods whose names have room inside a picture."""
 _GROUP_WIDTH = 0.8
-"""Of a method's bars together; from one method to the next is 1."""
+"""Width of all bars of a method; the distance between methods is 1."""
 _LEAST_PX = 0.05
-"""Where the errors' axis ends: what was given exactly errs by nothing."""
+"""Lower end of the error axis; errors of 0 lie below it."""
 _SMOOTHED = 9
 """Losses that a point of a training's curve is the median of."""
 _BASELINE_STYLES = {CONSTANT_POSITION: ":", LINEAR_EXTRAPOLATION: "--"}
@@ -85,7 +85,7 @@ def draw_bars(results: Results, given_states: Mapping[str, bool], path: Path) ->
     Parameters
     ----------
     given_states
-        Methods in the order of the table; those that are given true states are hatched.
+        Methods in the order of the table; methods with true states as inputs are hatched.
     """
     groups = sorted({(c.objects, SCENARIOS.index(c.scenario), c.condition) for c in results.cells})
     with mpl.rc_context(_STYLE):
@@ -127,7 +127,7 @@ def draw_group(axes: Axes, cells: Sequence[Measurement], given_states: Mapping[s
 
 
 def draw_conditions(results: Results, path: Path) -> None:
-    """Draw how errors at both horizons depend on what is special about the scenes, by scenario."""
+    """Draw the errors at both horizons by condition of the scenes, for every scenario."""
     groups = sorted({(cell.objects, SCENARIOS.index(cell.scenario)) for cell in results.cells})
     methods = list(dict.fromkeys(cell.method for cell in results.cells))
     with mpl.rc_context(_STYLE):

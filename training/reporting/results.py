@@ -58,7 +58,7 @@ class Measurement:
     study
         Which table it belongs to: MODELS, or a study's name.
     condition
-        What is special about its scenes; "" for all that a scenario has.
+        Condition of its scenes; "" for all scenes of the scenario.
     optimiser_steps, converged
         Of a row that the study trained: the steps of a training, and whether the validation error
         of all of them hardly fell over the last fifth; None where that was not tested.
@@ -153,7 +153,7 @@ class Results:
 
     @classmethod
     def read(cls, path: Path) -> "Results":
-        """Read what :meth:`write` wrote."""
+        """Read a file of :meth:`write`."""
         stored = json.loads(path.read_text("utf-8"))
         return cls(
             tuple(Measurement(**cell) for cell in stored["cells"]),
@@ -171,7 +171,7 @@ class Results:
 
 
 def _line(figure: Measurement | Curve) -> str:
-    """Return a figure as JSON, without what is not known of it."""
+    """Return a figure as JSON, without unknown fields."""
     return json.dumps({name: part for name, part in asdict(figure).items() if part is not None})
 
 

@@ -19,4 +19,4 @@ _ALL = (
     UNUSUAL,
 )
 STUDIES: Mapping[str, Study] = {study.name: study for study in _ALL}
-"""By name."""
+"""Studies by name."""

@@ -1,4 +1,4 @@
-"""What single choices are worth: texture, the interaction module, supervision, a final frame."""
+"""Effects of single choices: texture, interaction module, supervision, final frame."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What a study's methods are trained and tested on: one scenario with so many balls."""
+"""Case of a study: one scenario with a number of balls, for training and tests."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ COLLISION_STEP = 10
 """Forecast step that the first collision follows (paper, table "Effect of multiple-ball module on
 collision estimation")."""
 MOVED_APART_M = 0.01
-"""By which balls that met lie further apart than if they had gone on: rounding is less."""
+"""Minimum deviation from the undisturbed path after a collision, above rounding."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class BenchmarkCase:
     Attributes
     ----------
     change
-        What no scene of the training has.
+        Change of the scenes that no training scene has.
     among
         Which of its scenes; None for all.
     horizons
@@ -74,7 +74,7 @@ class BenchmarkCase:
 
     @property
     def usual(self) -> "BenchmarkCase":
-        """All its scenes as they are drawn: what is trained on."""
+        """Case with all scenes of the scenario, as in training."""
         return BenchmarkCase(self.scenario, self.objects)
 
     @property
@@ -95,7 +95,7 @@ class BenchmarkCase:
 
     @property
     def condition(self) -> str:
-        """What is special about its scenes; "" for all that a scenario has."""
+        """Condition of its scenes; "" for all scenes of the scenario."""
         if self.colliding:
             return "before the first collision"
         if self.override is not None:
@@ -124,7 +124,7 @@ class BenchmarkCase:
         return Source(self.scenario, self.objects, override=self.override)
 
     def recordings(self, split: Split, scenes: int, workers: int) -> list[Recording]:
-        """Load its scenes among the first of a split; simulate those that are not there."""
+        """Load its scenes among the first of a split; simulate missing ones."""
         known = load_recordings(simulate_split(self.source, split, scenes, workers))[:scenes]
         if self.colliding:
             return [moved for one in known if (moved := before_collision(one, self.horizon))]

@@ -1,4 +1,4 @@
-"""What the paper concludes from its tables, claim by claim, and whether it holds here."""
+"""Claims of the paper about its tables, and verdicts from the measured figures."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -64,7 +64,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the measured figures say of a claim."""
+    """Verdict of the measured figures on a claim."""
 
     claim: Claim
     outcome: Outcome

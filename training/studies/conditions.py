@@ -11,7 +11,7 @@ from training.studies.rows import Row, constant_position, least_squares
 from training.studies.study import Study
 
 NOISE_SCALES = (0.2, 0.574, 0.617, 0.658, 0.7)
-"""Ends of four parts that hold equally many scenes: the smaller, the more hills."""
+"""Bounds of four bins with equal numbers of scenes; smaller scales mean more hills."""
 
 TRAINED_RADII = f"0.225 m, and {SMALL_RADIUS_M:g} m in a few bowls"
 SMALL = SceneOverride(f"radius {SMALL_RADIUS_M:g} m", (("radius_m", SMALL_RADIUS_M),))

@@ -32,7 +32,7 @@ VIN_BATCH = 32
 LSTM_BATCH = 50
 
 Configure = Callable[[Callable[[int], Iterator[Batch]], int, int], FitConfig[Batch]]
-"""Makes a training from its stream of batches, the budget in sequences and the seed."""
+"""Factory of a training from its stream of batches, the budget in sequences and the seed."""
 
 
 def vin() -> Row:

@@ -18,7 +18,7 @@ from training.studies import tables
 from training.studies.study import Study
 
 DOCS = Path("docs")
-"""Where pages are written, of the folder that commands are run in."""
+"""Folder of the pages, relative to the working directory."""
 RESULTS = "results.json"
 STEPS_BETWEEN_ELLIPSES = 5
 

@@ -1,4 +1,4 @@
-"""A method of the tables: what it is, how it is measured, and the methods that learn nothing."""
+"""Rows of the tables: methods, their measurement, and methods without training."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -36,13 +36,13 @@ restitution 0.7 each, with 0.49."""
 BUDGET = 60_000
 """Training sequences of each kind of scene for every row that learns, if there is time for them."""
 STATE_BUDGET = 2_000_000
-"""The same for rows from true states, which need no rendering."""
+"""Training sequences of rows from true states, which need no rendering."""
 VALIDATION_SCENES = 100
 PLAIN = " without angular velocity"
-"""What the paper adds to the name of a method that neither sees nor predicts it."""
+"""Suffix of methods without angular velocity as input and output."""
 MIDDLE = "middle of the frame"
 COMPACT = "compact-"
-"""What sets the studies' networks apart from the paper's and from the committed models."""
+"""Prefix of the studies' networks, unlike the paper's and the committed models."""
 POSITIONS = "positions of frames"
 POSITIONS_AND_SPINS = "positions, angular velocities of frames"
 """The paper's supervision."""
@@ -50,7 +50,7 @@ POSITIONS_AND_SPINS = "positions, angular velocities of frames"
 
 @dataclass(frozen=True)
 class StudyBudget:
-    """What a study may cost.
+    """Budget of a study.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class RowResult(NamedTuple):
     Attributes
     ----------
     optimiser_steps
-        Of the training; None for what comes trained or learns nothing.
+        Steps of the training; None for methods that the study does not train.
     converged
         Whether the validation error hardly fell over its last fifth.
     """
@@ -112,9 +112,9 @@ class Row:
     measure
         Trains it if need be and forecasts test scenes up to T_gen.
     architecture
-        What it is.
+        Architecture in words.
     supervision
-        What its training was told; "-" for what learns nothing.
+        Supervision of its training; "-" for methods without training.
     learns
         Whether the study trains it.
     given_states
@@ -124,7 +124,7 @@ class Row:
     usual_budget
         Training sequences of each kind of scene, if the study's budget says nothing else.
     sequences
-        Training sequences of what comes trained.
+        Number of training sequences of a method that is already trained.
     """
 
     method: str
@@ -143,7 +143,7 @@ class Row:
         return paper_method(self.method)
 
     def trained_on(self, budget: StudyBudget) -> int | None:
-        """Return its training sequences; None for what learns nothing."""
+        """Return its number of training sequences; None for methods without training."""
         return budget.of(self.usual_budget) if self.learns else self.sequences
 
 
@@ -160,7 +160,7 @@ def constant_position() -> Row:
 
 
 def middle_of_frame() -> Row:
-    """Every ball is always in the middle: what a network that has learned nothing errs like."""
+    """Row whose forecasts are the middle of the frame, the error of an untrained network."""
 
     def measure(test: FixedScenes, budget: StudyBudget) -> RowResult:  # noqa: ARG001
         positions = np.stack([window.positions for window in test.truth])

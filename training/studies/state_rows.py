@@ -32,10 +32,10 @@ from training.studies.rows import (
 NPE_BATCH, NPE_RATE = 1_000, 3e-3
 IFS_BATCH, IFS_RATE = 128, 2e-3
 LARGE = "-large-batches"
-"""Ends the folders' names: earlier ones hold trainings with the published batches."""
+"""Suffix of folder names; folders without it have trainings with the published batches."""
 
 Configure = Callable[[BenchmarkCase, StateSet, int, int], FitConfig[States]]
-"""Makes the training of a case from its scenes, the budget in sequences and the seed."""
+"""Factory of the training of a case from its scenes, the budget in sequences and the seed."""
 
 
 def npe(*, angular_velocity: bool) -> Row:

@@ -33,7 +33,7 @@ class Study:
     def run(
         self, file: Path, scenes: int, budget: StudyBudget, methods: Iterable[str]
     ) -> Iterator[str]:
-        """Train and measure the rows that ``file`` lacks; yield what has been done.
+        """Train and measure the rows that ``file`` lacks; yield progress.
 
         Parameters
         ----------
@@ -107,7 +107,7 @@ def measured(
 
 
 def _mean(figures: Sequence[Measured]) -> Measured:
-    """Return the mean of every figure; what the first lacks, all lack."""
+    """Return the mean of every figure; figures that the first lacks are missing in all."""
     means = {
         name: rounded(sum(getattr(one, name) for one in figures) / len(figures))
         for name, first in figures[0]._asdict().items()
@@ -131,6 +131,6 @@ def _known(
 
 
 def _enough(sequences: int, row: Row, budget: StudyBudget) -> bool:
-    """Whether a row has seen what it would now; more of it is as good where it learns."""
+    """Return whether a stored row has its number of sequences; trained rows may have more."""
     wanted = row.trained_on(budget) or 0
     return sequences >= wanted if row.learns else sequences == wanted

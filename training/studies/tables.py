@@ -15,7 +15,7 @@ MISSING = "not measured"
 
 
 def page(study: Study, results: Results) -> str:
-    """Return ``docs/results/NAME.md``: the table, its pictures, and what the paper says of it."""
+    """Return ``docs/results/NAME.md``: the table, its pictures and the paper's claims."""
     own = results.of(study.name)
     parts = [
         f"<!-- Made by `python -m training study {study.name}`; do not edit. -->\n# {study.title}",
@@ -56,7 +56,7 @@ def curves_of(results: Results, case: BenchmarkCase) -> list[Curve]:
 
 
 def _table(study: Study, results: Results) -> str:
-    """Return a line a method; bold are the least errors of those that see frames."""
+    """Return one line per method; the least errors of methods from frames are bold."""
     rows = study.rows()
     columns = [(case, at) for case in study.cases for at in case.moments]
     heads = [f"{_scenes(case)}, {at}" for case, at in columns]

@@ -6,8 +6,10 @@ from pydantic import Field
 
 from rollcast.schemas import Flag, Integer, RequestBody, ResponseBody
 
+PROTOCOL_PATH = "/v2"
+"""Root of the protocol's routes."""
 MAX_ITEMS = 8
-"""Inputs, outputs or axes that are looked at; no model has as many."""
+"""Maximum number of inputs, outputs or axes; no model has as many."""
 
 Datatype = Literal["UINT8", "INT64", "FP32"]
 Item = TypeVar("Item")
@@ -40,7 +42,7 @@ class TensorMetadata(ResponseBody):
     name: str
     datatype: Datatype
     shape: list[int]
-    """-1 where the request decides."""
+    """Shape, with -1 for axes whose length depends on the request."""
 
 
 class ModelReady(ResponseBody):
@@ -87,7 +89,7 @@ class OutputParameters(RequestBody):
     """Parameters of a requested output."""
 
     binary_data: Flag | None = None
-    """True if the output follows the JSON in binary form; default: ``binary_data_output``."""
+    """Binary form of the output, behind the JSON; default: ``binary_data_output``."""
 
 
 class RequestedOutput(RequestBody):
@@ -101,19 +103,19 @@ class InferParameters(RequestBody):
     """Parameters of a request."""
 
     binary_data_output: Flag = False
-    """True if the outputs follow the JSON in binary form."""
+    """Binary form of the outputs, behind the JSON."""
 
 
 class InferRequest(RequestBody):
     """Body of ``POST /v2/models/{name}/infer``, alone or followed by binary tensors."""
 
     id: str | None = None
-    """Returned as it came."""
+    """Identifier that the response repeats."""
     model_name: str | None = None
     """Model name, sent by KServe's client in addition to the path."""
     parameters: InferParameters | None = None
     inputs: Items[InferInput]
-    """``frames``, and ``horizon`` if it shall not be the model's own."""
+    """Tensor ``frames``, and ``horizon`` unless it is the model's default."""
     outputs: Items[RequestedOutput] | None = None
     """Requested outputs, in order; all outputs if omitted or empty."""
 
@@ -148,7 +150,7 @@ class IndexEntry(ResponseBody):
     version: str
     state: Literal["READY", "UNAVAILABLE"]
     reason: str
-    """Why it is not ready; empty when it is."""
+    """Reason for not being ready; empty otherwise."""
 
 
 class InferError(ResponseBody):

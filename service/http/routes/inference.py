@@ -10,6 +10,7 @@ from rollcast.camera import NETWORK_FRAME_SIZE
 from rollcast.rollout import Outputs, joined
 from rollcast.schemas import API_VERSION
 from service.http.oip.schemas import (
+    PROTOCOL_PATH,
     InferRequest,
     InferResponse,
     ModelMetadata,
@@ -29,15 +30,10 @@ from service.http.oip.tensors import (
     write_answer,
 )
 from service.http.openapi import errors_of, tensors_of
-from service.http.problem_details import PROTOCOL_PATH
 from service.http.request_body import JSON, MAX_VALUES, Body, parse_json, received
+from service.http.timeout import CLIENT_CLOSED_REQUEST, timeout_s
 from service.inference.ball_predictor import BallPredictor
-from service.inference.deadlines import (
-    CLIENT_CLOSED_REQUEST,
-    ClientGoneError,
-    answered,
-    timeout_s,
-)
+from service.inference.deadlines import ClientGoneError, answered
 from service.inference.rollout import Predictor, assemble
 from service.inference.scheduler import DecodedRequest
 from service.observability.tracing import Stages

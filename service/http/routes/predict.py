@@ -20,14 +20,8 @@ from service.http.request_body import (
     parser_of,
     received,
 )
-from service.inference.deadlines import (
-    CLIENT_CLOSED_REQUEST,
-    CancellationToken,
-    ClientGoneError,
-    answered,
-    streamed,
-    timeout_s,
-)
+from service.http.timeout import CLIENT_CLOSED_REQUEST, timeout_s
+from service.inference.deadlines import CancellationToken, ClientGoneError, answered, streamed
 from service.inference.scheduler import Job
 from service.state import AppState, ServiceState
 
@@ -63,9 +57,9 @@ async def answer_frames(
     Parameters
     ----------
     model
-        What the body describes.
+        Model of the body.
     job_of
-        Makes the job, whose answer is JSON, from the parser of the body.
+        Factory of the job, whose result is JSON, from the parser of the body.
     """
     service.require_serving()
     kind = media_type(request, (JSON, MULTIPART))
@@ -109,7 +103,7 @@ async def predict_stream(request: Request, service: ServiceState) -> Response:
     async with received(request) as body:
         parse = parser_of(PredictRequest, kind, body, request)
         events = streamed(request, timeout_s(request, service.settings), submit)
-        # What is refused before the first step is refused as by /predict.
+        # Errors before the first step become problem documents, as those of /predict.
         first = await anext(events, None)
     return EventSourceResponse(_lines(first, events))
 

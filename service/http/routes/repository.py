@@ -3,9 +3,8 @@
 from fastapi import APIRouter, Response, status
 
 from service import model_reload
-from service.http.oip.schemas import IndexEntry
+from service.http.oip.schemas import PROTOCOL_PATH, IndexEntry
 from service.http.openapi import errors_of
-from service.http.problem_details import PROTOCOL_PATH
 from service.state import ServiceState
 
 router = APIRouter(prefix=f"{PROTOCOL_PATH}/repository", tags=["open inference protocol"])

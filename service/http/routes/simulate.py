@@ -16,7 +16,8 @@ from service.errors import (
 from service.http.openapi import body_of, problems_of
 from service.http.problem_details import in_plain_words
 from service.http.request_body import JSON, media_type, parse_json, received
-from service.inference.deadlines import CLIENT_CLOSED_REQUEST, ClientGoneError, answered
+from service.http.timeout import CLIENT_CLOSED_REQUEST
+from service.inference.deadlines import ClientGoneError, answered
 from service.simulation.pool import is_installed, simulate
 from service.state import ServiceState
 

@@ -4,7 +4,7 @@ from fastapi import APIRouter, WebSocket
 
 from service.http.authorization import check_origin
 from service.http.session import ForecastSession
-from service.inference.deadlines import timeout_s
+from service.http.timeout import timeout_s
 from service.state import ServiceState
 
 router = APIRouter(tags=["forecast"])

@@ -3,7 +3,7 @@
 import { askForKey, withKey } from "./key.js";
 import { eventsOf } from "./sse.js";
 
-/** What the service refused, with its problem document (RFC 9457). */
+/** Rejected request, with its problem document (RFC 9457). */
 export class ServiceProblem extends Error {
   /**
    * @param {{title: string, detail: string, status: number, field?: string, value?: unknown,
@@ -108,7 +108,7 @@ async function answered(request) {
   );
 }
 
-/** What stands between may answer, too, and without a problem document. */
+/** Proxies may answer too, without a problem document. */
 function unknown(response) {
   const detail = `${response.url} answered ${response.status} without a reason.`;
   return { status: response.status, title: response.statusText || "No answer", detail };

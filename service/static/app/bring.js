@@ -16,13 +16,13 @@ export class Bring {
     this._listener = listener;
     this.footage = null;
     this.crop = { x: 0, y: 0, size: 128 };
-    /** What the models know: frames a second and, of one set-up, the square that they saw. */
+    /** Training data of the models: frame rate and, for one set-up, the crop. */
     this.known = { rate: FRAME_RATE_HZ, crop: null };
     this._editor = new CropEditor((crop) => this._cropped(crop));
     this._listen();
   }
 
-  /** What of the footage is wanted. */
+  /** Selected part of the footage. */
   get wanted() {
     return {
       startS: Number(byId("start").value),
@@ -46,7 +46,7 @@ export class Bring {
   }
 
   /**
-   * Take the frames as a model knows them.
+   ** Set frame rate and crop to those of a model.
    * @param {{rate: number, crop: number[] | null}} known
    * @returns {boolean} whether that changes anything
    */
@@ -61,7 +61,7 @@ export class Bring {
     const { rate, crop } = this.known;
     byId("spacing").value = String(Number((1000 / rate).toFixed(2)));
     byId("spacing-hint").textContent =
-      `The model knows ${byId("spacing").value} ms, ${Number(rate.toFixed(2))} frames a second. ` +
+      `The model is trained on ${byId("spacing").value} ms, ${Number(rate.toFixed(2))} frames a second. ` +
       "Frames that a camera did not take are blended.";
     if (!crop || !this.footage) return;
     this._hasSquare = true;

@@ -11,7 +11,7 @@ const FEWEST = 6;
 /** No camera; the message is for its user. */
 export class CameraError extends Error {}
 
-/** What browsers say, in plain words. */
+/** Explanations of browser errors. */
 const REASONS = {
   NotAllowedError:
     "The camera was not allowed. Allow it for this page, in the address bar of the browser or in " +

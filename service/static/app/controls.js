@@ -1,4 +1,4 @@
-/** The form of choices: what the user does with it, and what it says. */
+/** The form of choices: input events and displayed text. */
 
 import { byId } from "./dom.js";
 import {
@@ -46,7 +46,7 @@ export function installControls(store) {
 }
 
 /**
- * Choices as they can be: what nobody serves is given up.
+ ** Return the choices that the served models support.
  * @param {import("./state.js").Choices} choices
  */
 export function possible(choices, entries) {
@@ -71,7 +71,7 @@ export function possible(choices, entries) {
   return change;
 }
 
-/** Make the form say what is chosen. */
+/** Show the current choices in the form. */
 export function showControls(choices, entries, store) {
   for (const name of Object.keys(RADIOS)) {
     for (const radio of document.querySelectorAll(`input[name="${name}"]`)) {

@@ -1,4 +1,4 @@
-/** Short names for what every part of the page does with its elements. */
+/** Helper functions for elements of the page. */
 
 /**
  * The element with an id, which index.html is known to have.

@@ -10,8 +10,8 @@ const LIVE_ELLIPSES = 6;
 
 /**
  * @typedef {object} Picture
- * @property {CanvasImageSource | null} frame what the camera saw then
- * @property {CanvasImageSource | null} [lastFrame] what it saw last, where the footage has ended
+ * @property {CanvasImageSource | null} frame picture of the camera at that time
+ * @property {CanvasImageSource | null} [lastFrame] last picture, after the end of the footage
  * @property {number} width of the frames, pixels: the unit of every position
  * @property {number} height of the frames, pixels
  * @property {number[][]} points that select balls, in the last seen frame
@@ -39,7 +39,7 @@ export function drawMoment(context, side, picture) {
   for (const forecast of picture.forecasts) {
     for (const [index, ball] of forecast.objects.entries()) {
       const color = colorOf(forecast, index);
-      // While points are chosen, all of the path shows what they lead to.
+      // While points are selected, the whole path is drawn.
       const isChoosing = picture.index === LAST_SEEN && picture.points.length > 0;
       const until = isChoosing ? ball.positions.length : Math.max(step + 1, 0);
       drawPath(pen, ball.positions.slice(0, until), color, 3);

@@ -28,7 +28,7 @@ export function save(blob, name) {
   setTimeout(() => URL.revokeObjectURL(url), 10_000);
 }
 
-/** What was asked and what came, in the service's own words; and the truth where it is known. */
+/** Request and response as sent, with the true path if it is known. */
 export function asJson({ take, forecasts }, request) {
   const document = {
     title: take.title,
@@ -108,7 +108,7 @@ export function canRecord() {
   return typeof MediaRecorder === "function" && MediaRecorder.isTypeSupported("video/webm");
 }
 
-/** The panels beside each other, and below them a strip that says what they show. */
+/** The panels side by side, above a caption. */
 class Composition {
   constructor(shown, side) {
     this._shown = shown;

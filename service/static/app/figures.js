@@ -1,4 +1,4 @@
-/** Numbers of a forecast: ellipses, errors, and what part of a path is there. */
+/** Figures of a forecast: ellipses, errors, and the computed part of a path. */
 
 import { LAST_SEEN } from "./state.js";
 

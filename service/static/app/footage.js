@@ -11,7 +11,7 @@ const END_MS = 500;
 export class FootageError extends Error {}
 
 /**
- * @typedef {object} Shot what the camera took
+ * @typedef {object} Shot picture of the camera
  * @property {number} timeS
  * @property {CanvasImageSource} picture valid until the next shot is asked for
  */
@@ -26,7 +26,7 @@ export async function openFootage(files) {
   const images = files.filter((file) => file.type.startsWith("image/"));
   if (!images.length) {
     const names = files.map((file) => file.name).join(", ") || "what was dropped";
-    throw new FootageError(`${names}: neither images nor a video that this browser knows.`);
+    throw new FootageError(`${names}: neither images nor a video that this browser supports.`);
   }
   return ImageFootage.open(images);
 }
@@ -184,7 +184,7 @@ export class VideoFootage {
   }
 
   /**
-   * Go to a time and tell when what is shown there was taken. A browser says so with every picture
+   ** Seek to a time and return the time of the picture that is shown. A browser says so with every picture
    * that it shows anew; where it stays silent, it is sent away and back.
    */
   async _shownAt(timeS) {
@@ -254,7 +254,7 @@ function findDuration(video) {
   });
 }
 
-/** Sides of what is sent, pixels: models for a fixed number of balls see 128 of a square. */
+/** Sides of sent pictures, pixels: models for a fixed number of balls see 128 of a square. */
 const LARGEST_SQUARE = 512;
 const LARGEST_PICTURE = 1280;
 const SMALLEST = 32;

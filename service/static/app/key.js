@@ -14,7 +14,7 @@ export function withKey(init) {
 
 /**
  * Ask the user for a key.
- * @param {string} reason what the service said
+ * @param {string} reason message of the service
  * @returns {Promise<boolean>} whether there is another one now
  */
 export function askForKey(reason) {

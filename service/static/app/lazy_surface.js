@@ -26,7 +26,7 @@ export class LazySurface {
     const isFootage = take?.kind === "footage";
     byId("surface").hidden = isFootage;
     byId("surface-note").textContent = isFootage
-      ? "Nobody knows the ground of your footage: scenes of the simulator have one."
+      ? "The ground of your footage is unknown; only simulated scenes have a surface."
       : "";
     this._load();
   }

@@ -6,7 +6,7 @@ const ENOUGH_BYTES = 20_000;
 /** Whether pictures should be small, and the seen ones come first. */
 export function isSlowLink() {
   if (navigator.connection?.saveData) return true;
-  // What the page's own files took: estimates of the browser are of other links, too.
+  // Transfer times of the page's own files; the browser's estimates include other hosts.
   const files = performance
     .getEntriesByType("resource")
     .filter(({ transferSize }) => transferSize > 1000);

@@ -22,9 +22,9 @@ const FINAL = [401, 403];
 const SLOW = 0.55;
 
 /**
- * @typedef {object} Wanted what is asked of the service
+ * @typedef {object} Wanted options of requests
  * @property {object} fields of a PredictRequest besides frames and rate
- * @property {number} rate frames a second that the model knows
+ * @property {number} rate frame rate of the model
  * @property {boolean} isWhole whether it reads whole pictures
  * @property {boolean} ellipses
  */
@@ -32,7 +32,7 @@ const SLOW = 0.55;
 export class Live {
   /**
    * @param {{canvas: () => HTMLCanvasElement, wanted: () => Wanted, changed: () => void,
-   *   clip: (file: File) => void}} listener `clip` takes what was recorded
+   *   clip: (file: File) => void}} listener `clip` receives the recording
    */
   constructor(listener) {
     this._listener = listener;
@@ -158,11 +158,11 @@ export class Live {
     this._listener.changed();
   }
 
-  /** Why what is drawn is of little use, if it is. */
+  /** Return the reason for which the drawn forecast is too late, or an empty string. */
   _slowness(latencyS) {
     const [{ times }] = this.forecasts;
     if (latencyS > times.at(-1)) {
-      return "The forecasts arrive after the time that they reach: choose a longer horizon.";
+      return "The forecasts arrive after their last step: choose a longer horizon.";
     }
     const rate = 1 / this._camera.intervalS;
     return rate < SLOW * this._listener.wanted().rate
@@ -170,13 +170,13 @@ export class Live {
       : "";
   }
 
-  /** Say why no forecast came, and wait as long as the service asks for. */
+  /** Report the failure of a forecast and wait for the time that the service requests. */
   async _wait(error, signal) {
     if (error.name === "AbortError") throw error;
     const isFinal = error instanceof ServiceProblem && FINAL.includes(error.problem.status);
     if (isFinal || !(error instanceof ServiceProblem || error instanceof LostService)) throw error;
     const waitS = error.retryAfterS ?? RETRY_S;
-    this._say(`${reasonOf(error)} It is asked again in ${waitS} s.`, true);
+    this._say(`${reasonOf(error)} Next attempt in ${waitS} s.`, true);
     await pause(waitS * 1000, signal);
   }
 

@@ -1,4 +1,4 @@
-/** The page: its parts, and what each of them tells the others. */
+/** The page: its parts and the events between them. */
 
 import { health, LostService, models, ServiceProblem } from "./api.js";
 import { Bring } from "./bring.js";
@@ -26,7 +26,7 @@ import { verdictOf } from "./verdict.js";
 const HEALTH_EVERY_MS = 5000;
 /** Choices that only change how things are drawn; all others ask the service anew. */
 const LOOKS = ["layout", "ellipses", "truth", "speed"];
-/** What is said before there is anything to see. */
+/** Message before the first picture. */
 const WAITING = {
   loading: "The service is loading its models …",
   "no usable model": "The service has no usable model.",
@@ -106,7 +106,7 @@ function scaled(points, factor) {
   return points.map((pair) => pair.map((value) => value * factor));
 }
 
-/** What /predict is asked besides frames and model. */
+/** Fields of /predict other than frames and model. */
 function requestOf(choices) {
   const horizon = session.finalIndex === null ? choices.horizon : session.finalIndex - LAST_SEEN + 1;
   const points = framePoints(choices);
@@ -119,7 +119,7 @@ function requestOf(choices) {
   return { ...request, frame_rate: Number(session.take.rate.toFixed(4)) };
 }
 
-/** What the run that is underway was asked: Enter in a field changes and submits at once. */
+/** Request of the current run: Enter in a field changes and submits at once. */
 let running = null;
 /** Whether the service went away in the middle of a run: it is done again when it is back. */
 let interrupted = false;
@@ -175,7 +175,7 @@ async function run() {
   }
 }
 
-/** Set the clock to the beginning of what has just come. */
+/** Set the clock to the beginning of new footage. */
 function begin(choices, horizon) {
   picks.points = framePoints(choices); // the frames may have another size than those before
   player.last = horizon - 1 + LAST_SEEN;
@@ -191,7 +191,7 @@ function begin(choices, horizon) {
   else player.play();
 }
 
-/** Take the footage as the model that is chosen knows it: its rate and, of a set-up, its square. */
+/** Set the footage to the frame rate and, for a set-up, the crop of the selected model. */
 function suit(choices) {
   const wish = { ...choices, source: "footage" };
   bring.offerWhole(readRectangles(entries, wish));
@@ -219,7 +219,7 @@ function edit() {
   bring.edit();
 }
 
-/** End what is underway. */
+/** End the current run. */
 function stop() {
   session.begin();
   running = null;

@@ -1,4 +1,4 @@
-/** What went wrong, said where it is seen and heard. */
+/** Error messages, visible and announced to screen readers. */
 
 import { LostService, ServiceProblem } from "./api.js";
 import { byId, make } from "./dom.js";

@@ -1,4 +1,4 @@
-/** Which of the service's models fit what is asked, and the list to choose up to three from. */
+/** Models that fit the current choices, and the list from which up to three are selected. */
 
 import { byId, make } from "./dom.js";
 import { MARKS } from "./palette.js";
@@ -132,7 +132,7 @@ function rowOf({ name, about, title = "" }, chosen, chose) {
   box.addEventListener("change", () => {
     const others = chosen.filter((other) => other !== name);
     const next = box.checked ? [...others, name] : others;
-    box.checked ||= next.length === 0; // somebody has to answer
+    box.checked ||= next.length === 0; // at least one model stays selected
     if (next.length) chose(next);
   });
   const chip = make("span", { class: "chip", "aria-hidden": "true" }, MARKS[slot] ?? "");

@@ -4,7 +4,7 @@ import { styled } from "./dom.js";
 
 /** On pictures, over a dark casing: the same in every theme. */
 export const ON_PICTURES = ["#E69F00", "#56B4E9", "#CC79A7"];
-/** Paths and rings of balls that are not surely known. */
+/** Paths and rings of uncertain balls. */
 export const UNCERTAIN = "#B4B8BF";
 export const TRUTH = "#FFFFFF";
 export const CASING = "rgba(0, 0, 0, 0.72)";

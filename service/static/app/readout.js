@@ -41,7 +41,7 @@ export function showFigures(forecasts, truth, index) {
   byId("figures").tBodies[0].replaceChildren(...rows);
 }
 
-/** The balls of somebody's own set-up, in the order of a forecast's objects. */
+/** The balls of a user's own set-up, in the order of a forecast's objects. */
 function ballsOf(done) {
   const balls = (done?.objects ?? []).filter(({ color }) => color.startsWith("#"));
   return balls.map(({ id, color }) => {
@@ -61,7 +61,7 @@ function pixels(value) {
   return value === null || value === undefined ? "–" : `${value.toFixed(1)} px`;
 }
 
-/** Warnings of the answers, each once, and what the page itself has to say. */
+/** Warnings of the responses, each once, and messages of the page. */
 export function showNotes(take, forecasts) {
   const said = forecasts.flatMap(({ label, done }) =>
     (done?.warnings ?? []).map((warning) => (forecasts.length > 1 ? `${label}: ${warning}` : warning)),

@@ -1,4 +1,4 @@
-/** The folded panel of a scene's parameters; what is left empty is sampled from the seed. */
+/** The folded panel of a scene's parameters; empty ones are sampled from the seed. */
 
 import { byId, make } from "./dom.js";
 
@@ -24,7 +24,7 @@ const NUMBERS = [
 ];
 const WHITE = "white";
 
-/** What is chosen, by name; text that is not understood is left out. */
+/** Chosen parameters by name, without invalid text. */
 function valuesOf({ scene }) {
   const given = new Map(scene.split(";").map((pair) => pair.split("=")));
   const values = {};
@@ -52,7 +52,7 @@ function applies({ scenarios, several }, { scenario, balls }) {
   return (!scenarios || scenarios.includes(scenario)) && (!several || balls > 1);
 }
 
-/** What is chosen and applies, by name. */
+/** Chosen and applicable parameters by name. */
 function fixedOf(choices) {
   const values = valuesOf(choices);
   const fixed = {};
@@ -103,7 +103,7 @@ export function installScenePanel(store) {
   byId("scene-reset").addEventListener("click", () => store.set({ scene: "" }));
 }
 
-/** Make the panel say what is chosen. */
+/** Show the chosen parameters in the panel. */
 export function showScenePanel(choices) {
   const values = valuesOf(choices);
   for (const number of NUMBERS) {

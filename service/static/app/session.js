@@ -1,4 +1,4 @@
-/** From choices to frames and forecasts: what is asked of the service, in order. */
+/** Requests to the service, in order: from choices to frames and forecasts. */
 
 import { predictStream, ServiceProblem, simulate } from "./api.js";
 import { isSlowLink } from "./link.js";
@@ -13,7 +13,7 @@ const SMALL_IMAGE_SIZE = 128;
 const ATTEMPTS = 4;
 
 /**
- * @typedef {object} Take what there is to see
+ * @typedef {object} Take displayed frames and paths
  * @property {string} title
  * @property {(CanvasImageSource | undefined)[]} frames
  * @property {number} width of the frames, pixels
@@ -46,7 +46,7 @@ export class Session {
     return this.take?.kind === "scene" ? this.take.frameSize / IMAGE_SIZE : 1;
   }
 
-  /** Stop whatever runs; return the signal of what comes now. */
+  /** Abort the current run; return the signal of the new one. */
   begin() {
     this._ended.abort();
     this._ended = new AbortController();
@@ -55,7 +55,7 @@ export class Session {
 
   /**
    * Simulate a scene, unless it is the one that is there.
-   * @returns {Promise<(() => Promise<void>) | null>} what loads the later frames, on a slow link
+   * @returns {Promise<(() => Promise<void>) | null>} function that loads the later frames, on a slow link
    */
   async scene(choices, steps, signal) {
     const { scenario, balls, seed } = choices;
@@ -170,7 +170,7 @@ export class Session {
     if (failed) throw failed.reason;
   }
 
-  /** The body of a forecast: what /simulate drew goes back as it came, footage as file parts. */
+  /** The body of a forecast: frames of /simulate unchanged, footage as file parts. */
   body(model, request) {
     const frames = this.take.sent.slice(0, SEEN);
     const final = this.finalIndex === null ? null : this.take.sent[this.finalIndex];
@@ -197,7 +197,7 @@ export class Session {
     }
   }
 
-  /** Ask again, when the service wants that, what was refused for being too much at once. */
+  /** Repeat requests that were rejected because the queue was full, after Retry-After. */
   async _asked(ask, signal) {
     for (let attempt = 2; ; attempt++) {
       try {
@@ -224,13 +224,13 @@ export function formOf(fields, frames) {
   return form;
 }
 
-/** What was typed as a number; if it is none, the service shall say what it expects. */
+/** Return typed text as a number, or unchanged, so that the service reports the error. */
 function asNumber(text) {
   if (text === "") return null;
   return Number.isFinite(Number(text)) ? Number(text) : text;
 }
 
-/** What there is of a forecast before its first step. */
+/** Forecast before its first step. */
 function unanswered() {
   return { state: "waiting", objects: [], times: [], ellipse50Radii: [], done: null };
 }

@@ -7,7 +7,7 @@ import { pngOf } from "./session.js";
 import { snippetsOf } from "./snippets.js";
 import { SEEN } from "./state.js";
 
-/** @param {() => any} now what the page shows */
+/** @param {() => any} now content of the page */
 export function installSharing(now) {
   const buttons = ["json", "png", "gif", "webm", "frames"].map((name) => byId(`save-${name}`));
   let busy = false;
@@ -19,7 +19,7 @@ export function installSharing(now) {
     if (!canRecord()) byId("save-webm").disabled = true;
   };
 
-  /** Offer what a function makes, and say how far it is. */
+  /** Offer the result of a function as a download, with progress. */
   const offer = (id, make) =>
     byId(id).addEventListener("click", async () => {
       const progress = byId("saving");

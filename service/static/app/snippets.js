@@ -8,7 +8,7 @@ const FILES = ["frame-0.png", "frame-1.png", "frame-2.png", "frame-3.png"];
 /**
  * @param {import("./session.js").Session} session
  * @param {import("./state.js").Choices} choices
- * @param {object} request what /predict is asked besides frames and model
+ * @param {object} request fields of /predict other than frames and model
  * @returns {{curl: string, python: string}}
  */
 export function snippetsOf(session, choices, request) {

@@ -4,7 +4,7 @@ import { byId, make } from "./dom.js";
 import { drawMoment, drawSeen } from "./draw.js";
 import { LAST_SEEN, pointsOf } from "./state.js";
 
-/** What one panel of the stage shows at a moment; downloads are drawn from the same. */
+/** Content of one panel of the stage at a moment, also for downloads. */
 export function panelsOf(take, forecasts, choices, index) {
   const common = {
     frame: take.frames[index] ?? null,

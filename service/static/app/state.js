@@ -1,4 +1,4 @@
-/** What the user has chosen, kept in the page's address so that it can be passed on. */
+/** Choices of the user, stored in the address of the page for sharing. */
 
 import { readScene } from "./scene_panel.js";
 
@@ -26,7 +26,7 @@ export const MOST_BALLS = 8;
 /** Frames that the models see; frame i shows step i - 3. */
 export const LAST_SEEN = SEEN - 1;
 
-/** Frames a second of what every simulation shows, and of models that do not tell. */
+/** Frame rate of simulations, and of models that do not state one. */
 export const FRAME_RATE_HZ = 40;
 
 /** @type {Choices} */
@@ -46,7 +46,7 @@ const DEFAULTS = {
   speed: 0.5,
 };
 
-/** Those that make sense in somebody else's browser; footage stays where it is. */
+/** Choices that also work in another browser; footage is not shared. */
 const SHARED = ["scenario", "balls", "points", "seed", "scene", "models", "horizon", "finalFrame", "layout"];
 
 /**
@@ -72,7 +72,7 @@ export function createStore(initial) {
   };
 }
 
-/** Choices out of an address' fragment; what is not understood is left as it is by default. */
+/** Choices out of an address' fragment; unknown values keep their defaults. */
 export function choicesFrom(fragment) {
   const given = new URLSearchParams(fragment.replace(/^#/, ""));
   const choices = { ...DEFAULTS };

@@ -32,12 +32,12 @@ export class Surface3d {
     new ResizeObserver(() => this._draw()).observe(this._canvas);
   }
 
-  /** Show a scene and its forecasts; none for footage, whose ground nobody knows. */
+  /** Show a scene and its forecasts; none for footage, whose ground is unknown. */
   show(take, forecasts) {
     const message = this._renderer
       ? take?.surface
         ? ""
-        : "Nobody knows the ground of your footage: scenes of the simulator have one."
+        : "The ground of your footage is unknown; only simulated scenes have a surface."
       : "This browser shows no 3D (WebGL is missing or switched off).";
     byId("surface-note").textContent = message;
     this._canvas.hidden = message !== "";

@@ -23,7 +23,7 @@ function isFound(ball) {
 }
 
 /**
- * What is said on the picture.
+ * Return the message on the picture.
  * @returns {{text: string, isWarning: boolean}} an empty text if there is nothing to say
  */
 export function verdictOf(forecasts) {
@@ -39,10 +39,9 @@ function sentenceOf(forecast) {
   const say = (text, isWarning) => ({ text, isWarning, label });
   const lost = done.objects.filter((ball) => !isFound(ball));
   if (lost.length) {
-    const which = done.objects.length === 1 ? "The ball" : namesOf(lost);
-    const verb = lost.length === 1 ? "was" : "were";
+    const which = done.objects.length === 1 ? "the ball" : namesOf(lost);
     const scores = lost.map(({ score }) => score.toFixed(2)).join(", ");
-    return say(`${which} ${verb} not surely found (score ${scores}): the grey path may be wrong.`, true);
+    return say(`Uncertain detection of ${which} (score ${scores}): the grey path may be wrong.`, true);
   }
   if (isOutOfDistribution(forecast)) {
     return say("These frames look unlike the training data: the grey path may be far off.", true);

@@ -118,9 +118,9 @@ def of_lost_balls(start, sigma: float, *, robust: bool):
 
 def lost_warning(model: str, sigma: str) -> str:
     return (
-        f"{model} has not found a ball surely: the standard deviation of its place at t = 0 is "
-        f"{sigma} px of 128, above 0.5 (false-alarm rate 0.4 %). The forecast may be of something "
-        "else."
+        f"{model} may have lost a ball: the standard deviation of its position at t = 0 is "
+        f"{sigma} px of 128, above 0.5 (false-alarm rate 0.4 %). The forecast may follow another "
+        "object."
     )
 
 

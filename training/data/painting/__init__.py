@@ -1,1 +1,1 @@
-"""Paints appearances: grounds, balls, clutter, and what camera and sensor do to the picture."""
+"""Painting of appearances: ground, balls, clutter, effects of camera and sensor."""

@@ -1,4 +1,4 @@
-"""Paints what else is in the frame: rectangles, pockets, texts, hands, cues, shadows."""
+"""Painting of clutter: rectangles, pockets, texts, hands, cues, shadows."""
 
 import math
 
@@ -10,7 +10,7 @@ from rollcast.simulation.appearance import Clutter
 from training.data.painting.ground import SIZE, draw_text
 
 BLENDED = 0.5
-"""How dark shadows of things outside are."""
+"""Darkness of shadows of objects outside the frame."""
 
 
 def clutter_mask(thing: Clutter, frame: int) -> Float[np.ndarray, "size size"]:

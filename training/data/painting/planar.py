@@ -1,7 +1,7 @@
 """Planar scenes: balls that move freely over a plane, to teach seeing alone.
 
-Only places in the four seen frames are known. Nothing is known of a ground, of heights or of what
-comes after, so those parts of the truth are NaN and cost nothing.
+Only positions in the four observed frames are known. Ground, heights and later positions are
+unknown: these parts of the truth are NaN and have no loss.
 """
 
 import math
@@ -49,11 +49,11 @@ class PlanarBall:
 
     appearance: BallAppearance
     radius: float
-    """Pixels."""
+    """Radius in pixels."""
     path: tuple[tuple[float, float], ...]
     """Places in the seen frames, pixels."""
     rolls: bool
-    """Whether its texture turns as it goes."""
+    """Rotation of the texture with the motion."""
 
     @property
     def moves(self) -> bool:
@@ -63,12 +63,12 @@ class PlanarBall:
 
 @dataclass(frozen=True)
 class PlanarScene:
-    """What one such window shows. The first ball is the one that is meant."""
+    """Content of one planar window. The first ball is the prompted one."""
 
     appearance: Appearance
     balls: tuple[PlanarBall, ...]
     seed: int
-    """Of orientations."""
+    """Seed of orientations."""
 
 
 class PlanarWindow(NamedTuple):
@@ -76,7 +76,7 @@ class PlanarWindow(NamedTuple):
 
     frames: UInt8[np.ndarray, "frames size size 3"]
     path: Float[np.ndarray, "frames 2"]
-    """Without the camera's shake."""
+    """Positions without the camera's shake."""
     shake: Float[np.ndarray, "frames 2"]
     """Shift of the picture, none in the last frame."""
 
@@ -252,7 +252,7 @@ def _region(generator: np.random.Generator) -> Float[np.ndarray, "size size"]:
 
 
 def _with_clutter(empty: np.ndarray, scene: PlanarScene) -> list[Clutter]:
-    """Paint what rests onto the ground; return what is painted over the balls, frame by frame."""
+    """Paint resting clutter onto the ground; return moving clutter, painted over the balls."""
     over: list[Clutter] = []
     for thing in scene.appearance.clutter:
         if thing.kind in ("hand", "cue", "shadow"):

@@ -69,7 +69,7 @@ class Restyling:
 
 
 class RestyledWindow(NamedTuple):
-    """Frames with what the camera did to the places of things in them."""
+    """Frames with the camera pose that moved their content."""
 
     frames: UInt8[np.ndarray, "frames size size 3"]
     pose: CameraPose
@@ -96,7 +96,7 @@ def draw_restyling(
     beneath = mean_color(appearance.ground) if ground == "painted" else (0.5, 0.5, 0.5)
     ball = None if generator.random() < 0.35 else draw_ball(generator, apart_from=beneath)
     if ball is not None and generator.random() < 0.25:
-        white = (1.0, 1.0, 1.0)  # what ``textured=False`` gives
+        white = (1.0, 1.0, 1.0)  # as with ``textured=False``
         ball = replace(ball, pattern="plain", colors=(white, white, white), gloss=0.0)
     radius = scene.radius_m * camera_for(scene.scenario, SIZE).pixels_per_metre
     count = int(generator.choice([0, 1, 2, 4], p=[0.55, 0.25, 0.12, 0.08]))
@@ -171,7 +171,7 @@ def _hides(thing: Clutter, path_px: np.ndarray, radius: float) -> bool:
 
 
 class _SceneMaterials:
-    """What :class:`rollcast.simulation.rendering.Materials` asks for."""
+    """Implementation of :class:`rollcast.simulation.rendering.Materials`."""
 
     def __init__(self, renderer: Renderer, scene: Scene, style: Restyling) -> None:
         self._style = style

@@ -1,4 +1,4 @@
-"""What camera and file do to the frames of a window, 8-bit RGB."""
+"""Effects of camera sensor and compression on the frames of a window, 8-bit RGB."""
 
 import functools
 import math

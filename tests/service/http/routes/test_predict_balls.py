@@ -78,7 +78,7 @@ def test_more_balls_than_other_models_follow_come_from_one_for_any_number(client
 def test_a_prompt_on_nothing_is_answered_with_a_warning(client):
     (ball,) = ask(client, paths((40, 50)), balls=prompt((110, 110)))["objects"]
     assert ball["score"] < 0.5
-    assert "No ball is seen surely" in ball["warnings"][0]
+    assert "Uncertain detection of a ball" in ball["warnings"][0]
 
 
 def test_a_stream_closes_with_what_was_seen(client):
