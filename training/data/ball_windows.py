@@ -18,7 +18,13 @@ from rollcast.simulation.appearance import CameraPose, Clutter, draw_camera, dra
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES, Trajectory
 from training.data.ball_batch import MOST_BALLS, BallBatch, BallWindow, collate
 from training.data.frame_spacing import draw_spacing, earliest_start, seen_states
-from training.data.painting.camera import posed_frames, posed_ground, posed_points, shaken
+from training.data.painting.camera import (
+    Border,
+    posed_frames,
+    posed_ground,
+    posed_points,
+    shaken,
+)
 from training.data.painting.clutter import clutter_mask
 from training.data.painting.planar import draw_planar_scene, paint_planar_scene
 from training.data.painting.restyled import draw_restyling, render_restyled, visible_pose
@@ -36,6 +42,12 @@ REMEMBERED = 2000
 """Number of windows in memory for repetition, 200 kB each."""
 LEAST_WAY_PX = 0.3
 """Minimum displacement of a moving ball over the observed frames."""
+
+POSE_STRENGTH = 1.5
+"""Factor of the share of filmed windows whose camera is not the paper's (0.9 of them)."""
+MIRRORED_SHARE, REPLICATED_SHARE = 0.5, 0.4
+"""Share of heightfields that go on beyond their frame; of all other borders that are replicated,
+as programs that scale a picture do."""
 
 VALIDATION_SEED = 2**31
 """Seed of validation windows; training seeds are small."""
@@ -114,12 +126,13 @@ class BallWindowMaker:
     def _filmed(self, generator: np.random.Generator, index: int, window: BallWindow) -> BallWindow:
         """Show a window from another place, through another sensor."""
         scene = self._maker.recording(index).scene
-        bowl = scene.axis_ratio is not None
+        border = _draw_border(generator, is_bowl=scene.axis_ratio is not None)
         path = HALF + HALF * window.places.reshape(-1, 2)
-        pose = visible_pose(draw_camera(generator), path, bounded=bowl)
+        camera = draw_camera(generator, POSE_STRENGTH)
+        pose = visible_pose(camera, path, bounded=border != "mirrored")
         if pose != CameraPose():
             beyond = window.frames[-1, 0, 0]
-            frames = posed_frames(window.frames, pose, beyond, mirrored=not bowl)
+            frames = posed_frames(window.frames, pose, beyond, border)
             window = self._posed(index, window._replace(frames=frames), pose)
         return filmed(generator, window)
 
@@ -185,6 +198,13 @@ def posed(window: BallWindow, pose: CameraPose, radius_m: float) -> BallWindow:
         ground=posed_ground(window.ground, pose),
         scene=scene,
     )
+
+
+def _draw_border(generator: np.random.Generator, *, is_bowl: bool) -> Border:
+    """Draw what lies beyond the paper's frame: nothing goes on there but heightfields, mirrored."""
+    if not is_bowl and generator.random() < MIRRORED_SHARE:
+        return "mirrored"
+    return "replicated" if generator.random() < REPLICATED_SHARE else "plain"
 
 
 def filmed(generator: np.random.Generator, window: BallWindow) -> BallWindow:

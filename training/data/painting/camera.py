@@ -1,6 +1,7 @@
 """Where the camera stands: the same scene nearer, turned, tilted, through a real lens, shaken."""
 
 import math
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -9,6 +10,15 @@ from jaxtyping import Float, UInt8
 from rollcast.simulation.appearance import CameraPose
 from training.data.painting.ground import SIZE
 
+Border = Literal["plain", "mirrored", "replicated"]
+"""Kind of picture where the paper's camera saw nothing: a given colour or picture, or the ground
+mirrored at the border, or the pixels of the border drawn out."""
+
+_BORDERS: dict[Border, int] = {
+    "plain": cv2.BORDER_TRANSPARENT,
+    "mirrored": cv2.BORDER_REFLECT_101,
+    "replicated": cv2.BORDER_REPLICATE,
+}
 _HALF = SIZE / 2
 _INVERSIONS = 6
 """Steps of the fixed-point iteration that undoes the lens; it converges by a third a step."""
@@ -66,25 +76,21 @@ def posed_frames(
     frames: UInt8[np.ndarray, "frames size size 3"],
     pose: CameraPose,
     beyond: UInt8[np.ndarray, "*place 3"],
-    *,
-    mirrored: bool,
+    border: Border,
 ) -> UInt8[np.ndarray, "frames size size 3"]:
     """Show frames from a camera that stands elsewhere.
 
     Parameters
     ----------
     beyond
-        Seen where the paper's camera saw nothing: a picture, or one colour.
-    mirrored
-        Whether the ground goes on there instead, mirrored at the border.
+        Picture or colour of a plain border.
     """
     centres = np.arange(SIZE, dtype=np.float64) + 0.5
     grid = np.stack(np.meshgrid(centres, centres), axis=-1)
     at = (unposed_points(grid, pose) - 0.5).astype(np.float32)
-    border = cv2.BORDER_REFLECT_101 if mirrored else cv2.BORDER_TRANSPARENT
     empty = np.broadcast_to(beyond, frames.shape[1:])
     return np.stack([
-        cv2.remap(frame, at[..., 0], at[..., 1], cv2.INTER_LINEAR, empty.copy(), border)
+        cv2.remap(frame, at[..., 0], at[..., 1], cv2.INTER_LINEAR, empty.copy(), _BORDERS[border])
         for frame in frames
     ])  # fmt: skip
 

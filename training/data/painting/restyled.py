@@ -293,8 +293,8 @@ def render_restyled(
         frames = np.stack([_with_clutter(f, moving, k) for k, f in enumerate(frames)])
     if appearance.camera != CameraPose():
         beyond = np.clip(255 * materials.ground[0, 0], 0, 255).astype(np.uint8)
-        mirrored = scene.axis_ratio is None
-        frames = posed_frames(frames, appearance.camera, beyond, mirrored=mirrored)
+        border = "mirrored" if scene.axis_ratio is None else "plain"
+        frames = posed_frames(frames, appearance.camera, beyond, border)
     shake = np.asarray(appearance.sensor.shake)
     frames = through_sensor(shaken(frames, shake), appearance.sensor)
     return RestyledWindow(frames, appearance.camera, shake)
