@@ -130,7 +130,9 @@ def test_json_is_the_whole_forecast(run, images):
     assert np.shape(answer["objects"][0]["positions"]) == (25, 2)
     assert np.shape(answer["objects"][0]["covariances"]) == (25, 2, 2)
     assert answer["objects"][0]["positions"][0][0] > OFF + 0.3 * SIDE
-    assert len(answer["warnings"]) == 1
+    cropped, horizon = answer["warnings"]
+    assert "are not square, and their middle was sent" in cropped
+    assert "horizon of 25" in horizon
 
 
 def video_frames(path):
