@@ -7,7 +7,6 @@ import { MOST_BALLS } from "./state.js";
 const REACH_PX = 16;
 /** How far a press may move and still select, pixels of the screen. */
 const MOVED_PX = 6;
-const DOUBLE_CLICK_MS = 800;
 /** Why a press selects nothing. */
 const FULL = `${MOST_BALLS} balls are the most that a model follows: remove a point first.`;
 const NO_FRAMES = "Points lie in the last of the four frames: press Forecast first.";
@@ -43,7 +42,7 @@ export class Picks {
     panels.addEventListener("pointermove", (event) => this._move(event));
     panels.addEventListener("pointerup", (event) => this._release(event, true));
     panels.addEventListener("pointercancel", (event) => this._release(event, false));
-    panels.addEventListener("dblclick", (event) => this._undo(event));
+    panels.addEventListener("dblclick", () => this._undo());
     byId("pick-add").addEventListener("click", () => {
       const size = this._listener.size();
       if (!size) {
@@ -82,6 +81,7 @@ export class Picks {
     const size = this._listener.size();
     const at = size && placeOf(event, size, this._listener.view());
     const near = at ? this._near(at) : -1;
+    if (!at || !this._added || distance(this._added.at, at) * at.scale > REACH_PX) this._added = null;
     if (near >= 0 && this._listener.isLastSeen()) {
       event.target.setPointerCapture(event.pointerId);
       this._before = this.points;
@@ -93,9 +93,7 @@ export class Picks {
   }
 
   _near(at) {
-    return this.points.findIndex(
-      (point) => Math.hypot(point[0] - at[0], point[1] - at[1]) * at.scale < REACH_PX,
-    );
+    return this.points.findIndex((point) => distance(point, at) * at.scale < REACH_PX);
   }
 
   _move(event) {
@@ -135,14 +133,14 @@ export class Picks {
     if (refusal !== null) this._listener.refused(refusal);
     else if (!this._listener.isLastSeen()) this._listener.showLastSeen();
     else {
-      this._added = { before: this.points, timeMs: event.timeStamp };
+      this._added = { before: this.points, at };
       this._listener.changed([...this.points, [at[0], at[1]]]);
     }
   }
 
   /** The first click of a double click, which zooms, selects nothing. */
-  _undo(event) {
-    if (!this._added || event.timeStamp - this._added.timeMs > DOUBLE_CLICK_MS) return;
+  _undo() {
+    if (!this._added) return;
     this._listener.changed(this._added.before);
     this._added = null;
   }
@@ -192,6 +190,10 @@ function rowOf(index) {
       "aria-label": `Remove ball ${index + 1}`,
     }),
   );
+}
+
+function distance([x, y], [otherX, otherY]) {
+  return Math.hypot(x - otherX, y - otherY);
 }
 
 /** Where a pointer is in the frame's pixels; `scale` is pixels of the screen by one of them. */
