@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from typing import Literal, Protocol
+from typing import Literal, Protocol, cast
 
 import numpy as np
 
@@ -51,7 +51,8 @@ def each(frames: Frames) -> list[Frame]:
     shape: tuple[int, ...] = tuple(getattr(frames, "shape", ()))
     is_file = isinstance(frames, str | bytes | bytearray | memoryview | os.PathLike)
     if is_file or not hasattr(frames, "__len__"):
-        raise TypeError(f"frames is one {type(frames).__name__}, expected a list of four")
+        kind = type(cast("object", frames)).__name__
+        raise TypeError(f"frames is one {kind}, expected a list of four")
     is_picture = len(shape) == 3 and (shape[2] in (1, 3, 4) or shape[0] in (1, 3))
     if len(shape) == 2 or is_picture:
         raise TypeError(f"frames is one picture of the shape {shape}, expected a list of four")
