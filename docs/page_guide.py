@@ -89,7 +89,7 @@ def _with_links(html: str) -> str:
         name, dot, fragment = target.partition(".md")
         if dot and name in PAGES:
             return f'<a href="{name}.html{fragment}">{text}</a>'
-        return match.group() if target.startswith(("#", "http")) else text
+        return match.group() if target.startswith("#") else text
 
     return re.sub(r'<a href="([^"]*)">(.*?)</a>', link, html, flags=re.DOTALL)
 
