@@ -51,11 +51,12 @@ endef
 # $(call recorded,TARGET,COMMAND): a step whose end is recorded, and shown in docs/reliability.md.
 recorded = $(call step,$(1),.venv/uv/bin/python tools/record.py $(1) $(2))
 
-.PHONY: help serve test wheels docs bench browser-test image-test cluster-test scaling lowest fuzz fuzz-api mutate faults soak sbom licences format lint environments lock clean
+.PHONY: help serve training test wheels docs bench browser-test image-test cluster-test scaling lowest fuzz fuzz-api mutate faults soak sbom licences format lint environments lock clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make serve    serve the committed models on http://127.0.0.1:8000 (PORT=... picks another port)'
+	@echo 'make training install what python -m training needs, in .venv/test'
 	@echo 'make test     run every check and test'
 	@echo 'make wheels   build the package and its models as wheels, into build/wheels'
 	@echo 'make docs     build the documents into build/docs, check every link, execute the notebook'
@@ -80,6 +81,10 @@ help:
 serve:
 	@SIMULATION=$(SIMULATION) tools/environment.sh service
 	@exec .venv/service/bin/python -m service --host 127.0.0.1 --port $(PORT)
+
+training:
+	@tools/environment.sh test
+	@echo 'rollcast: .venv/test/bin/python -m training --help'
 
 test: environments lint
 	$(call step,tests,OMP_NUM_THREADS=1 $(BIN)/python $(SIDE_BY_SIDE) tests $(TORCH_FREE_TESTS:%=--ignore=%) $(PROTOCOL_TESTS:%=--ignore=%) $(IMAGE_TESTS:%=--ignore=%) $(CLUSTER_TESTS:%=--ignore=%) $(BROWSER_TESTS:%=--ignore=%) $(PYTEST_ARGS))
@@ -186,6 +191,7 @@ lint:
 format:
 	@tools/environment.sh test
 	$(BIN)/python -m tests.rollcast.write_sync_client
+	$(BIN)/python -m docs.page_guide
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 

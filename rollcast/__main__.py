@@ -6,9 +6,7 @@ interrupted.
 
 import os
 import sys
-import tempfile
 import tomllib
-import traceback
 from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -20,8 +18,8 @@ import typer
 from rollcast.client import Client
 from rollcast.client.settings import API_KEY_VARIABLE
 from rollcast.commands import doctor, live, models, predict, serve, simulate, track
-from rollcast.commands.options import CommandError, Connect, Outcome
-from rollcast.errors import RollcastError, UnreachableError
+from rollcast.commands.failures import INTERRUPTED, exit_code
+from rollcast.commands.options import Connect, Outcome
 
 NAME = "rollcast"
 HELP = """\
@@ -39,9 +37,6 @@ Exit codes: 0 success, 1 failure (with one line on stderr), 2 invalid arguments.
 `rollcast --install-completion` completes commands and options in your shell.
 """
 CHECKOUT = Path(__file__).resolve().parents[1]
-USAGE = 2
-"""Exit code for arguments that are wrong."""
-INTERRUPTED = 130
 
 app = typer.Typer(
     name=NAME,
@@ -102,31 +97,20 @@ def main(arguments: Sequence[str] | None = None, connect: Connect = Client) -> i
         Makes the client of an address.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
-    try:
-        outcome = app(
-            words or ["--help"],
-            prog_name=NAME,
-            obj=connect,
-            standalone_mode=False,
-        )
-        if not isinstance(outcome, Outcome):  # --help and its like have said it all
-            return _stopped(outcome)
-        for warning in outcome.warnings:
-            print(f"rollcast: warning: {warning}", file=sys.stderr)
-        _print(outcome.text)
-        if outcome.finish is not None:
-            outcome.finish()
-    except typer.TyperException as error:
-        command = getattr(getattr(error, "ctx", None), "command_path", NAME)
-        return _failed(f"{error.format_message()} ({command} --help has more)", USAGE)
-    except UnreachableError as error:
-        return _failed(f"{error}; is the service running (make serve)?")
-    except (RollcastError, CommandError, OSError) as error:
-        return _failed(str(error))
-    except KeyboardInterrupt:
-        return _stopped(INTERRUPTED)
-    except Exception as error:
-        return _failed(_unexpected(error))
+    return exit_code(NAME, partial(_run, words, connect))
+
+
+def _run(words: Sequence[str], connect: Connect) -> int:
+    outcome = app(words or ["--help"], prog_name=NAME, obj=connect, standalone_mode=False)
+    if not isinstance(outcome, Outcome):  # --help and its like have said it all
+        if outcome == INTERRUPTED:
+            raise KeyboardInterrupt
+        return outcome or 0
+    for warning in outcome.warnings:
+        print(f"rollcast: warning: {warning}", file=sys.stderr)
+    _print(outcome.text)
+    if outcome.finish is not None:
+        outcome.finish()
     return outcome.code
 
 
@@ -139,26 +123,6 @@ def _print(text: str) -> None:
     except BrokenPipeError:
         # The reader, `head` for example, has seen enough; Python would complain of it at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _unexpected(error: Exception) -> str:
-    """Write the traceback of a fault of ours to a file, and return a line that names it."""
-    with tempfile.NamedTemporaryFile(
-        "w", prefix="rollcast-", suffix=".log", delete=False, encoding="utf-8", errors="replace"
-    ) as file:
-        file.writelines(traceback.format_exception(error))
-    return f"unexpected {type(error).__name__}: {error}; this is a bug, details are in {file.name}"
-
-
-def _stopped(code: int | None) -> int:
-    if code == INTERRUPTED:
-        return _failed("interrupted", INTERRUPTED)
-    return code or 0
-
-
-def _failed(reason: str, code: int = 1) -> int:
-    print(f"rollcast: {' '.join(reason.splitlines())}", file=sys.stderr)
-    return code
 
 
 def run() -> None:

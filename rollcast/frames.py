@@ -49,7 +49,15 @@ class SupportsRead(Protocol):
 
 
 FrameLike: TypeAlias = (
-    np.ndarray | Image.Image | Path | str | bytes | bytearray | SupportsRead | SupportsArray
+    np.ndarray
+    | Image.Image
+    | os.PathLike[str]
+    | str
+    | bytes
+    | bytearray
+    | memoryview
+    | SupportsRead
+    | SupportsArray
 )
 """An array, a Pillow image, a path, the bytes of an image file, an open file, or a tensor."""
 Channels: TypeAlias = Literal["rgb", "bgr"]
@@ -113,10 +121,10 @@ def as_frame(picture: FrameLike, *, channels: Channels = "rgb") -> UInt8[np.ndar
         return _from_array(cast("np.ndarray", picture), channels)
     if isinstance(picture, Image.Image):
         return _pixels(picture, "the image")
-    if isinstance(picture, str | Path):
+    if isinstance(picture, str | os.PathLike):
         return _from_bytes(read_file(picture), shown_path(picture))
-    if isinstance(picture, bytes | bytearray):
-        return _from_bytes(bytes(picture), f"an image of {len(picture)} bytes")
+    if isinstance(picture, bytes | bytearray | memoryview):
+        return _from_bytes(bytes(picture), f"an image of {len(bytes(picture))} bytes")
     if isinstance(picture, SupportsRead):
         return _from_bytes(_read_stream(picture), _name_of(picture))
     if isinstance(picture, SupportsArray):  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -204,7 +212,7 @@ def decoded_page(image: Image.Image, name: str) -> UInt8[np.ndarray, "H W 3"]:
     return _pixels(image, name)
 
 
-def read_file(path: Path | str) -> bytes:
+def read_file(path: os.PathLike[str] | str) -> bytes:
     """Read a regular file whole.
 
     Raises
@@ -218,7 +226,7 @@ def read_file(path: Path | str) -> bytes:
     return Path(path).read_bytes()
 
 
-def require_regular_file(path: Path | str) -> None:
+def require_regular_file(path: os.PathLike[str] | str) -> None:
     """Reject files that would block reading.
 
     Raises
@@ -237,7 +245,7 @@ def require_regular_file(path: Path | str) -> None:
         )
 
 
-def shown_path(path: Path | str) -> str:
+def shown_path(path: os.PathLike[str] | str) -> str:
     """Return a path as printable text, for any bytes in its name."""
     return os.fsencode(path).decode("utf-8", "backslashreplace")
 

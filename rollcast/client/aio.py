@@ -22,6 +22,7 @@ from rollcast.client.results import Detections, Forecast, ForecastStep, Simulati
 from rollcast.client.sessions import SessionTransport
 from rollcast.client.stream import StreamAssembler
 from rollcast.errors import InvalidArgumentError
+from rollcast.frames import Channels
 from rollcast.scene import Domain, Scenario, Scene
 from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, Health, ModelDetail, ModelEntry
 from rollcast.trajectory import OBSERVED_FRAMES
@@ -98,6 +99,7 @@ class AsyncClient:
         step_rate: float | None = None,
         crop: Crop | None = None,
         start_s: float | None = None,
+        channels: Channels = "rgb",
     ) -> Forecast:
         """Forecast the paths of the balls.
 
@@ -131,11 +133,15 @@ class AsyncClient:
             Steps a second of the forecast; by default ``frame_rate``.
         crop
             "square" cuts the largest square out of the middle of every frame; positions are then
-            pixels of that square. Videos are sent whole with ``balls`` or to a named model for any
-            number of balls; otherwise they are cropped, to the square of the set-up that the named
-            model was trained on, if it has one.
+            pixels of that square. Videos are sent whole with ``balls``, to a named model for any
+            number of balls, and with "auto" where the service has such a model; otherwise they are
+            cropped, to the square of the set-up that the named model was trained on, if it has one,
+            else to the square in the middle, which a warning reports.
         start_s
             Time of the first frame in the video, seconds; by default 0.
+        channels
+            Order of the channels of arrays and tensors: "bgr" for those of OpenCV. Files and Pillow
+            images state theirs.
 
         Raises
         ------
@@ -156,6 +162,7 @@ class AsyncClient:
             step_rate=step_rate,
             crop=crop,
             start_s=start_s,
+            channels=channels,
         )
         return await self._run(await self._forecast(calls.predict, frames, final_frame, options))
 
@@ -188,6 +195,7 @@ class AsyncClient:
         frame_rate: float | None = None,
         step_rate: float | None = None,
         crop: Crop | None = None,
+        channels: Channels = "rgb",
     ) -> AsyncSession:
         """Open a session for a loop: one frame a tick is sent, the service keeps the last four.
 
@@ -196,7 +204,7 @@ class AsyncClient:
 
         Parameters
         ----------
-        horizon, model, num_objects, scenario, frame_rate, step_rate, crop
+        horizon, model, num_objects, scenario, frame_rate, step_rate, crop, channels
             As for ``predict``, for all forecasts of the session.
 
         Raises
@@ -223,6 +231,7 @@ class AsyncClient:
             self._target,
             calls.session(options),
             crop,
+            channels,
             timeout_s=self._timeout_s,
             retries=self._retries,
             transport=transport,
@@ -279,6 +288,7 @@ class AsyncClient:
         min_score: float = 0.25,
         refine_still: bool = True,
         crop: Crop | None = None,
+        channels: Channels = "rgb",
     ) -> Detections:
         """Find all balls in four frames, moving or not, without a forecast.
 
@@ -295,6 +305,8 @@ class AsyncClient:
             takes less time.
         crop
             "square" cuts the largest square out of the middle of every frame.
+        channels
+            Order of the channels of arrays and tensors: "rgb" or "bgr".
 
         Raises
         ------
@@ -303,7 +315,7 @@ class AsyncClient:
         TypeError, ValueError, OSError
             When a frame cannot be converted or read.
         """
-        call = await to_thread(calls.detect, frames, model, min_score, refine_still, crop)
+        call = await to_thread(calls.detect, frames, model, min_score, refine_still, crop, channels)
         return await self._run(call)
 
     @overload

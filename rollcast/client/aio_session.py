@@ -17,6 +17,7 @@ from rollcast.client.sessions import (
     TickAnswer,
     newest_of,
 )
+from rollcast.frames import Channels
 
 
 class AsyncSession:
@@ -35,6 +36,7 @@ class AsyncSession:
         target: Target,
         call: Call[Forecast],
         crop: Crop | None,
+        channels: Channels,
         *,
         timeout_s: float,
         retries: int,
@@ -43,6 +45,7 @@ class AsyncSession:
         self._call = SessionCall(target, call)
         self._transport = transport
         self._crop: Crop | None = crop
+        self._channels: Channels = channels
         self._timeout_s = timeout_s
         self._retries = retries
         self._socket: Socket | _LocalSocket | None = None
@@ -64,7 +67,7 @@ class AsyncSession:
             When the frame cannot be converted or read; nothing is sent.
         """
         socket = self._opened()
-        data = await to_thread(encoded, frame, self._crop)
+        data = await to_thread(encoded, frame, self._crop, self._channels)
         with self._call.translated(self._timeout_s):
             async with within(Deadline(self._timeout_s)):
                 self._sent += 1  # from here on it is in the connection's buffer

@@ -5,10 +5,10 @@ Nothing here sends anything, so a client is a transport and one line a method.
 
 import json
 import operator
+import os
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Generic, SupportsIndex, TypeAlias, TypedDict, TypeVar, cast
 from urllib.parse import quote
 
@@ -21,6 +21,7 @@ from rollcast.client.prompts import BallPoints, prompts_of
 from rollcast.client.results import Detections, Forecast, Simulation
 from rollcast.client.shapes import require
 from rollcast.errors import ClientError, InvalidArgumentError, ProblemError
+from rollcast.frames import Channels
 from rollcast.image_sequence import numbering_warnings
 from rollcast.scene import Domain, Scenario, Scene
 from rollcast.schemas import (
@@ -67,6 +68,8 @@ class ForecastOptions(TypedDict, total=False):
     """Crop of every frame: "square" cuts the largest square out of the middle."""
     start_s: float | None
     """Time of the first frame in a clip, seconds."""
+    channels: Channels
+    """Order of the channels of arrays and tensors: "rgb" or "bgr"."""
 
 
 class SimulationOptions(TypedDict, total=False):
@@ -211,7 +214,7 @@ def _forecast_call(
     options: ForecastOptions,
     warnings: tuple[str, ...],
 ) -> Call[Forecast]:
-    crop = options.get("crop")
+    crop, channels = options.get("crop"), options.get("channels", "rgb")
     if options.get("start_s") is not None:
         raise InvalidArgumentError("start_s is for a clip, given as the path of a video")
     horizon, number = _whole("horizon", options), _whole("num_objects", options)
@@ -227,13 +230,14 @@ def _forecast_call(
     }
     pictures = each(frames)
     files: list[Part] = [
-        ("frames", (f"frame{index}", encoded(frame, crop))) for index, frame in enumerate(pictures)
+        ("frames", (f"frame{index}", encoded(frame, crop, channels)))
+        for index, frame in enumerate(pictures)
     ]
-    paths = [str(frame) for frame in pictures if isinstance(frame, str | Path)]
+    paths = [os.fspath(frame) for frame in pictures if isinstance(frame, str | os.PathLike)]
     if len(paths) == len(pictures):
         warnings = (*warnings, *numbering_warnings(paths))
     if final_frame is not None:
-        files.append(("final_frame", ("final_frame", encoded(final_frame, crop))))
+        files.append(("final_frame", ("final_frame", encoded(final_frame, crop, channels))))
     call = Call(
         "POST",
         path,
@@ -275,7 +279,12 @@ def session(options: ForecastOptions) -> Call[Forecast]:
 
 
 def detect(
-    frames: Frames, model: str, min_score: float, refine_still: bool, crop: Crop | None
+    frames: Frames,
+    model: str,
+    min_score: float,
+    refine_still: bool,
+    crop: Crop | None,
+    channels: Channels,
 ) -> Call[Detections]:
     """Send frames as file parts, to learn which balls they show."""
     fields = {
@@ -284,7 +293,7 @@ def detect(
         "refine_still": str(bool(refine_still)).lower(),
     }
     files: list[Part] = [
-        ("frames", (f"frame{index}", encoded(frame, crop)))
+        ("frames", (f"frame{index}", encoded(frame, crop, channels)))
         for index, frame in enumerate(each(frames))
     ]
     return Call(

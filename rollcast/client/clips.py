@@ -1,5 +1,6 @@
 """Four frames of a video, as the client sends them (extra ``video``)."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias, TypeGuard
@@ -12,7 +13,7 @@ from rollcast.footage import Footage, SquareCrop, WholePicture
 from rollcast.schemas import AUTO_MODEL, ModelEntry
 from rollcast.trajectory import FRAME_RATE_HZ
 
-Clip: TypeAlias = Path | str
+Clip: TypeAlias = os.PathLike[str] | str
 """Path of a video file."""
 LONG_BLEND_S = 0.05
 """Distance of two frames, in time, over which a ball may move too far for them to be blended."""
@@ -20,7 +21,7 @@ LONG_BLEND_S = 0.05
 
 def is_clip(frames: "Frames | Clip") -> TypeGuard[Clip]:
     """Return whether frames are given as the path of one video."""
-    return isinstance(frames, Path | str)
+    return isinstance(frames, os.PathLike | str)
 
 
 def named_model(options: ForecastOptions) -> tuple[str, int | None] | None:
@@ -65,15 +66,48 @@ def read_clip(
     asked = options.get("frame_rate")
     rate = asked or (model and model.frame_rate_hz) or FRAME_RATE_HZ
     told = told_rates(models) if asked is None and not final_frame else None
-    balls = options.get("balls")
-    whole = (balls is not None or takes_any(model)) and options.get("crop") is None
+    balls, is_cropped = options.get("balls"), options.get("crop") is not None
+    whole = not is_cropped and sends_whole(models, options, final_frame=final_frame)
     crop = WholePicture() if whole else setup_crop(model)
     start_s = options.get("start_s") or 0.0
-    seen = read_frames(clip, start_s=start_s, crop=crop, frame_rate=rate, told_rates=told)
+    seen = read_frames(Path(clip), start_s=start_s, crop=crop, frame_rate=rate, told_rates=told)
     rest = options | ForecastOptions(frame_rate=seen.frame_rate, start_s=None, crop=None)
     if balls is not None:
         rest["balls"] = moved(prompts_of(balls), seen.crop)
-    return seen.frames, rest, blend_warnings(seen, rate)
+    # Frames of a clip are RGB; a final frame that is an array has the order that the caller names.
+    frames = seen.frames[..., ::-1] if options.get("channels") == "bgr" else seen.frames
+    chosen = is_cropped or crop is not None
+    return frames, rest, (*blend_warnings(seen, rate), *crop_warnings(seen, chosen=chosen))
+
+
+def sends_whole(
+    models: Sequence[ModelEntry], options: ForecastOptions, *, final_frame: bool
+) -> bool:
+    """Return whether whole pictures are sent: to a model for any number of balls.
+
+    "auto" takes one for points that select balls, and for pictures that are not square.
+
+    Parameters
+    ----------
+    models
+        The requested model; all of the service for "auto".
+    options
+        Options of the forecast: ``model``, ``balls`` and ``scenario`` are used.
+    final_frame
+        Whether a final frame goes along; no such model reads one.
+    """
+    if options.get("balls") is not None:
+        return True
+    if named_model(options) is not None:
+        return takes_any(models[0])
+    scenario = options.get("scenario")
+    return not final_frame and any(
+        model.status == "ready"
+        and model.default
+        and takes_any(model)
+        and (scenario is None or scenario in (model.scenarios or ()))
+        for model in models
+    )
 
 
 def told_rates(models: Sequence[ModelEntry]) -> tuple[float, float] | None:
@@ -94,6 +128,17 @@ def takes_any(model: ModelEntry | None) -> bool:
 def setup_crop(model: ModelEntry | None) -> SquareCrop | None:
     """Return the square of the set-up that a model was trained on, if it has one."""
     return SquareCrop(*model.setup.crop) if model and model.setup else None
+
+
+def crop_warnings(footage: Footage, *, chosen: bool) -> tuple[str, ...]:
+    """Return a warning when the square in the middle of pictures was taken by default."""
+    crop = footage.crop
+    if chosen or not isinstance(crop, SquareCrop) or (crop.x, crop.y) == (0, 0):
+        return ()
+    return (
+        f"the pictures are not square, and their middle was sent ({crop.x},{crop.y},{crop.size}): "
+        "choose a crop, or a model for any number of balls, which reads whole pictures",
+    )
 
 
 def blend_warnings(footage: Footage, rate: float) -> tuple[str, ...]:

@@ -1,13 +1,21 @@
 """Frames as a user has them become files that the service reads."""
 
+import os
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal, Protocol, cast
 
 import numpy as np
 
 from rollcast.footage import SquareCrop
-from rollcast.frames import END_OF_IMAGE, FrameLike, SupportsArray, as_frame, encode_png, read_file
+from rollcast.frames import (
+    END_OF_IMAGE,
+    Channels,
+    FrameLike,
+    SupportsArray,
+    as_frame,
+    encode_png,
+    read_file,
+)
 
 Frame = FrameLike
 """Any input of ``rollcast.frames.as_frame``: an array or tensor, a Pillow image, a path, bytes or
@@ -41,31 +49,40 @@ def each(frames: Frames) -> list[Frame]:
         When it is one picture, or the name of one.
     """
     shape: tuple[int, ...] = tuple(getattr(frames, "shape", ()))
-    if isinstance(frames, str | bytes | bytearray) or not hasattr(frames, "__len__"):
-        raise TypeError(f"frames is one {type(frames).__name__}, expected a list of four")
-    if len(shape) == 2 or (len(shape) == 3 and shape[2] in (1, 3, 4)):
+    is_file = isinstance(frames, str | bytes | bytearray | memoryview | os.PathLike)
+    if is_file or not hasattr(frames, "__len__"):
+        kind = type(cast("object", frames)).__name__
+        raise TypeError(f"frames is one {kind}, expected a list of four")
+    is_picture = len(shape) == 3 and (shape[2] in (1, 3, 4) or shape[0] in (1, 3))
+    if len(shape) == 2 or is_picture:
         raise TypeError(f"frames is one picture of the shape {shape}, expected a list of four")
     return [frames[index] for index in range(len(frames))]
 
 
-def encoded(frame: Frame, crop: Crop | None) -> bytes:
+def encoded(frame: Frame, crop: Crop | None, channels: Channels = "rgb") -> bytes:
     """Return a frame as a file; one that the service reads is left as it is, unless cropped.
+
+    Parameters
+    ----------
+    channels
+        Order of the channels of arrays and tensors.
 
     Raises
     ------
     TypeError, FrameError, OSError
         As ``rollcast.frames.as_frame`` does.
     """
-    if crop is None and isinstance(frame, bytes | bytearray | str | Path):
-        data = bytes(frame) if isinstance(frame, bytes | bytearray) else read_file(frame)
+    if crop is None and isinstance(frame, bytes | bytearray | memoryview | str | os.PathLike):
+        is_path = isinstance(frame, str | os.PathLike)
+        data = read_file(frame) if is_path else bytes(frame)
         if _is_read_by_the_service(data):
             return data
-    return encode_png(pixels(frame, crop))
+    return encode_png(pixels(frame, crop, channels))
 
 
-def pixels(frame: Frame, crop: Crop | None) -> np.ndarray:
+def pixels(frame: Frame, crop: Crop | None, channels: Channels = "rgb") -> np.ndarray:
     """Return a frame's pixels, uint8 [height, width, 3]; raises as ``encoded`` does."""
-    picture = as_frame(frame)
+    picture = as_frame(frame, channels=channels)
     if crop is None:
         return picture
     return SquareCrop.centred(picture.shape[1], picture.shape[0]).cut(picture)

@@ -24,6 +24,7 @@ from rollcast.client.sessions import SessionTransport
 from rollcast.client.stream import StreamAssembler
 from rollcast.client.sync_session import Session
 from rollcast.errors import InvalidArgumentError
+from rollcast.frames import Channels
 from rollcast.scene import Domain, Scenario, Scene
 from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, Health, ModelDetail, ModelEntry
 from rollcast.trajectory import OBSERVED_FRAMES
@@ -100,6 +101,7 @@ class Client:
         step_rate: float | None = None,
         crop: Crop | None = None,
         start_s: float | None = None,
+        channels: Channels = "rgb",
     ) -> Forecast:
         """Forecast the paths of the balls.
 
@@ -133,11 +135,15 @@ class Client:
             Steps a second of the forecast; by default ``frame_rate``.
         crop
             "square" cuts the largest square out of the middle of every frame; positions are then
-            pixels of that square. Videos are sent whole with ``balls`` or to a named model for any
-            number of balls; otherwise they are cropped, to the square of the set-up that the named
-            model was trained on, if it has one.
+            pixels of that square. Videos are sent whole with ``balls``, to a named model for any
+            number of balls, and with "auto" where the service has such a model; otherwise they are
+            cropped, to the square of the set-up that the named model was trained on, if it has one,
+            else to the square in the middle, which a warning reports.
         start_s
             Time of the first frame in the video, seconds; by default 0.
+        channels
+            Order of the channels of arrays and tensors: "bgr" for those of OpenCV. Files and Pillow
+            images state theirs.
 
         Raises
         ------
@@ -158,6 +164,7 @@ class Client:
             step_rate=step_rate,
             crop=crop,
             start_s=start_s,
+            channels=channels,
         )
         return self._run(self._forecast(calls.predict, frames, final_frame, options))
 
@@ -190,6 +197,7 @@ class Client:
         frame_rate: float | None = None,
         step_rate: float | None = None,
         crop: Crop | None = None,
+        channels: Channels = "rgb",
     ) -> Session:
         """Open a session for a loop: one frame a tick is sent, the service keeps the last four.
 
@@ -198,7 +206,7 @@ class Client:
 
         Parameters
         ----------
-        horizon, model, num_objects, scenario, frame_rate, step_rate, crop
+        horizon, model, num_objects, scenario, frame_rate, step_rate, crop, channels
             As for ``predict``, for all forecasts of the session.
 
         Raises
@@ -225,6 +233,7 @@ class Client:
             self._target,
             calls.session(options),
             crop,
+            channels,
             timeout_s=self._timeout_s,
             retries=self._retries,
             transport=transport,
@@ -281,6 +290,7 @@ class Client:
         min_score: float = 0.25,
         refine_still: bool = True,
         crop: Crop | None = None,
+        channels: Channels = "rgb",
     ) -> Detections:
         """Find all balls in four frames, moving or not, without a forecast.
 
@@ -297,6 +307,8 @@ class Client:
             takes less time.
         crop
             "square" cuts the largest square out of the middle of every frame.
+        channels
+            Order of the channels of arrays and tensors: "rgb" or "bgr".
 
         Raises
         ------
@@ -305,7 +317,7 @@ class Client:
         TypeError, ValueError, OSError
             When a frame cannot be converted or read.
         """
-        call = to_thread(calls.detect, frames, model, min_score, refine_still, crop)
+        call = to_thread(calls.detect, frames, model, min_score, refine_still, crop, channels)
         return self._run(call)
 
     @overload

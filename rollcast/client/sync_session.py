@@ -19,6 +19,7 @@ from rollcast.client.sessions import (
     TickAnswer,
     newest_of,
 )
+from rollcast.frames import Channels
 
 
 class Session:
@@ -37,6 +38,7 @@ class Session:
         target: Target,
         call: Call[Forecast],
         crop: Crop | None,
+        channels: Channels,
         *,
         timeout_s: float,
         retries: int,
@@ -45,6 +47,7 @@ class Session:
         self._call = SessionCall(target, call)
         self._transport = transport
         self._crop: Crop | None = crop
+        self._channels: Channels = channels
         self._timeout_s = timeout_s
         self._retries = retries
         self._socket: Socket | _LocalSocket | None = None
@@ -66,7 +69,7 @@ class Session:
             When the frame cannot be converted or read; nothing is sent.
         """
         socket = self._opened()
-        data = to_thread(encoded, frame, self._crop)
+        data = to_thread(encoded, frame, self._crop, self._channels)
         with self._call.translated(self._timeout_s), within(Deadline(self._timeout_s)):
             self._sent += 1  # from here on it is in the connection's buffer
             socket.send(data)

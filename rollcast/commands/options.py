@@ -173,8 +173,8 @@ Crop: TypeAlias = Annotated[
         parser=_crop,
         metavar="X,Y,SIZE",
         help="square crop given to the model: left column, top row, side, in pixels (default: the "
-        "largest in the centre, the whole picture with --ball or a model for any number of balls); "
-        "for other models the bowl or plane should just fill it",
+        "whole picture for a model for any number of balls, otherwise the largest square in the "
+        "centre, which the bowl or plane should just fill)",
     ),
 ]
 Balls: TypeAlias = Annotated[

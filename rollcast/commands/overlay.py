@@ -9,7 +9,7 @@ from PIL import Image
 from rollcast.client import Forecast
 from rollcast.client.pictures import rings_of
 from rollcast.commands.options import VIDEOS
-from rollcast.commands.progress import counted
+from rollcast.commands.progress import counted, waiting
 from rollcast.commands.reading import LaterFrames
 from rollcast.errors import FootageEndedError
 from rollcast.footage import Footage
@@ -24,15 +24,21 @@ FRAMES_AT_ONCE = 40
 
 
 def draw(
-    path: Path, observed: Footage, later_frames: LaterFrames, forecast: Forecast, slowdown: int
+    path: Path,
+    observed: Footage,
+    later_frames: LaterFrames,
+    forecast: Forecast,
+    slowdown: int,
+    said: str,
 ) -> None:
-    """Write a picture or a video, depending on the file's suffix."""
+    """Write a picture or a video, depending on the file's suffix, and say what is going on."""
     if path.suffix.lower() in VIDEOS:
         steps = len(observed.frames) - 1 + len(forecast.times_s)
-        moments = counted(_moments(observed, later_frames, forecast), steps, "drawing")
+        moments = counted(_moments(observed, later_frames, forecast), steps, said)
         write_video(path, moments, forecast.step_rate / slowdown)
     else:
-        _picture(observed, later_frames, forecast).save(path)
+        with waiting(said):
+            _picture(observed, later_frames, forecast).save(path)
 
 
 def spread(steps: int, count: int) -> list[int]:

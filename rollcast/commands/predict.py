@@ -9,9 +9,10 @@ import typer
 from rollcast.client.calls import ForecastOptions
 from rollcast.client.clips import (
     blend_warnings,
+    crop_warnings,
     named_model,
+    sends_whole,
     setup_crop,
-    takes_any,
     told_rates,
 )
 from rollcast.client.prompts import moved
@@ -32,7 +33,7 @@ from rollcast.commands.options import (
 )
 from rollcast.commands.overlay import draw
 from rollcast.commands.printing import ball_warnings, forecast_text
-from rollcast.commands.progress import waiting
+from rollcast.commands.progress import stage, waiting
 from rollcast.commands.reading import frame_of_step, read
 from rollcast.footage import WholePicture
 from rollcast.scene import MAX_BALLS, Domain
@@ -43,8 +44,8 @@ HELP = """\
 Forecast balls in a video or in images.
 
 Reads four frames, requests a forecast from a running service, prints the path and, with --out,
-draws it over the footage. With --ball, or a model for any number of balls, whole pictures are
-sent, and rings show where the balls were seen.
+draws it over the footage. A model for any number of balls (any-ball) is sent whole pictures, and
+rings show where it saw the balls.
 
 \b
 Examples:
@@ -123,35 +124,43 @@ def predict(
     """Read frames, request a forecast, print and draw it."""
     if horizon is None:
         horizon = DEFAULT_HORIZON if final is None else final + 1
-    with client(context, url) as service, waiting("waiting for the service"):
-        name = named_model(ForecastOptions(model=model))
-        models = service.models() if name is None else [service.model(*name)]
-        known = None if name is None else models[0]
-        known_rate = (known and known.frame_rate_hz) or FRAME_RATE_HZ
-        known_crop = WholePicture() if ball or takes_any(known) else setup_crop(known)
-        told = told_rates(models) if final is None else None
-        part = crop or known_crop
-        observed, later_frames = read(footage, start, stride, rate, part, known_rate, told)
-        final_frame = None if final is None else frame_of_step(final, observed, later_frames)
-        forecast = service.predict(
-            list(observed.frames),
-            final_frame=final_frame,
-            horizon=horizon,
-            model=model,
-            num_objects=num_objects,
-            balls=moved(ball, observed.crop) if ball else None,
-            scenario=scenario,
-            frame_rate=observed.frame_rate,
-            step_rate=step_rate,
-        )
+    stages = 2 if out is None else 3
+    asked = ForecastOptions(model=model, balls=ball, scenario=scenario)
+    name = named_model(asked)
+    with client(context, url) as service:
+        with waiting(stage(1, stages, "reading the footage")):
+            models = service.models() if name is None else [service.model(*name)]
+            known = None if name is None else models[0]
+            known_rate = (known and known.frame_rate_hz) or FRAME_RATE_HZ
+            whole = sends_whole(models, asked, final_frame=final is not None)
+            part = crop or (WholePicture() if whole else setup_crop(known))
+            told = told_rates(models) if final is None else None
+            observed, later_frames = read(footage, start, stride, rate, part, known_rate, told)
+            final_frame = None if final is None else frame_of_step(final, observed, later_frames)
+        with waiting(stage(2, stages, "waiting for the forecast")):
+            forecast = service.predict(
+                list(observed.frames),
+                final_frame=final_frame,
+                horizon=horizon,
+                model=model,
+                num_objects=num_objects,
+                balls=moved(ball, observed.crop) if ball else None,
+                scenario=scenario,
+                frame_rate=observed.frame_rate,
+                step_rate=step_rate,
+            )
     warnings = [
         *blend_warnings(observed, known_rate),
+        *crop_warnings(observed, chosen=part is not None),
         *observed.warnings,
         *forecast.warnings,
         *ball_warnings(forecast),
     ]
     text = forecast_text(observed, forecast, warnings, form)
+    said = stage(3, stages, "drawing")
     drawing = (
-        None if out is None else partial(draw, out, observed, later_frames, forecast, slowdown)
+        None
+        if out is None
+        else partial(draw, out, observed, later_frames, forecast, slowdown, said)
     )
     return Outcome(text, warnings if form == "csv" else (), finish=drawing)

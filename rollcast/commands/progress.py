@@ -25,6 +25,11 @@ def counted(items: Iterable[T], total: int, what: str) -> Iterator[T]:
     )
 
 
+def stage(number: int, count: int, what: str) -> str:
+    """Return the text of a stage: which one it is, of how many, and what it does."""
+    return f"{number} of {count}: {what}" if count > 1 else what
+
+
 def waiting(what: str) -> AbstractContextManager[object]:
     """Show a progress indicator of unknown length."""
     console = Console(stderr=True)

@@ -11,7 +11,7 @@ import typer
 
 from rollcast.clip import open_clip
 from rollcast.commands.options import CommandError, Crop, Outcome, Rate, Url, client, whole_number
-from rollcast.commands.progress import counted, waiting
+from rollcast.commands.progress import counted, stage, waiting
 from rollcast.errors import MissingExtraError
 from rollcast.frames import shown_path
 from rollcast.image_sequence import ImageSequence, image_files
@@ -89,6 +89,8 @@ def track(
     reports: list[Quality] = []
     warnings: list[str] = []
     palettes = None
+    stages = len(names) * (2 if video else 1)
+    number = 0
     for clip, name in names.items():
         source = open_clip(clip, rate=rate)
         if isinstance(source, ImageSequence) and rate is None:
@@ -101,7 +103,9 @@ def track(
             _refuse_other(tracks_file, Tracks.read(tracks_file).source_sha256, fingerprint)
         tracks_file.parent.mkdir(parents=True, exist_ok=True)
         shown = shown_path(name)
-        with client(context, url) as service, waiting(f"tracking {shown}"):
+        number += 1
+        said = stage(number, stages, f"tracking {shown}")
+        with client(context, url) as service, waiting(said):
             finder = ServiceFinder(service, model)
             made = track_clip(source, finder, balls=balls, crop=crop, like=palettes, name=shown)
         palettes = made.palettes if palettes is None else palettes
@@ -111,7 +115,9 @@ def track(
         if video:
             video_file = beside(videos / name, ".mp4")
             video_file.parent.mkdir(parents=True, exist_ok=True)
-            pictures = counted(overlaid(source, made.tracks), quality.frames, f"drawing {shown}")
+            number += 1
+            said = stage(number, stages, f"drawing {shown}")
+            pictures = counted(overlaid(source, made.tracks), quality.frames, said)
             write_video(video_file, pictures, quality.frame_rate)
         reports.append(quality)
         warnings += source.warnings

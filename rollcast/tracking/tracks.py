@@ -29,8 +29,7 @@ COLUMNS = pa.schema(
     ]
 )
 
-
-CSV = ".csv"
+PARQUET, CSV = ".parquet", ".csv"
 
 
 class _ClipProperties(BaseModel):
@@ -175,6 +174,12 @@ class Tracks:
             confidences=shaped["confidence"].copy(),
             source_sha256=clip.source_sha256,
         )
+
+
+def is_csv_of_tracks(path: Path) -> bool:
+    """Return whether a CSV file begins as :meth:`Tracks.write` begins it."""
+    with path.open("rb") as file:
+        return file.read(3) == b"# {"
 
 
 def _read_csv(file: BinaryIO) -> pa.Table:

@@ -19,6 +19,9 @@ from tests.e2e.conftest import serving
 
 DESKTOP = {"width": 1440, "height": 900}
 PHONE = {"width": 390, "height": 844}
+TABLET = {"width": 768, "height": 1024}
+LANDSCAPE = {"width": 1024, "height": 768}
+WIDTHS = [PHONE, TABLET, {"width": 1280, "height": 800}]
 PATIENCE_MS = 60_000
 """Machines that run tests are busy."""
 

@@ -1,12 +1,14 @@
 """For everybody: keyboards, screen readers, little light, small screens, little trust."""
 
 import re
+from pathlib import Path
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from PIL import Image
 from playwright.sync_api import Page, expect
 
-from tests.browser.conftest import DESKTOP, PHONE, OpenPage, until_forecast
+from tests.browser.conftest import DESKTOP, PHONE, WIDTHS, OpenPage, until_forecast
 
 WCAG = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]}}
 
@@ -36,6 +38,57 @@ def test_wcag(open_page: OpenPage, address: str, scheme: str, viewport: dict, st
     page.wait_for_timeout(300)
     found = Axe().run(page, options=WCAG)
     assert found.response["violations"] == [], found.generate_report()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("viewport", WIDTHS, ids=lambda viewport: viewport["width"])
+def test_wcag_of_every_state(
+    open_page: OpenPage, address: str, tmp_path: Path, scheme: str, viewport: dict
+):
+    page = open_page(
+        address, "#models=any-ball&horizon=60", color_scheme=scheme, viewport=viewport,
+        bypass_csp=True,
+    )  # fmt: skip
+    until_forecast(page)
+    page.click("#end")
+    expect(page.locator("#verdict")).to_have_attribute("data-warning", "true")
+    page.click("#notes-title")
+    accessible(page, "a verdict that warns, with its figures")
+    page.click("#zoom-in")
+    accessible(page, "a zoomed picture")
+    if page.locator("#fold").is_visible():
+        page.click("#fold")
+    page.click("#scene-panel summary")
+    accessible(page, "the open panel of the scene")
+    page.click("#pick-add")
+    expect(page.locator("#pick-list li")).to_have_count(1)
+    until_forecast(page)
+    accessible(page, "a chosen point")
+    page.check("#scenario-table", force=True)
+    expect(page.locator("#stage-title")).to_contain_text("Table")
+    until_forecast(page)
+    accessible(page, "a table")
+    page.check("#source-footage", force=True)
+    page.click("#go")
+    expect(page.locator("#messages")).to_contain_text("no footage yet")
+    accessible(page, "a reason")
+    files = [tmp_path / f"frame{index}.png" for index in range(6)]
+    for index, file in enumerate(files):
+        picture = Image.new("RGB", (160, 90), (60, 90, 60))
+        picture.paste((230, 230, 230), (20 + 8 * index, 40, 32 + 8 * index, 52))
+        picture.save(file)
+    page.set_input_files("#files", files)
+    expect(page.locator("#stage-title")).to_contain_text("Choose where it begins")
+    accessible(page, "the crop of footage")
+    page.fill("#crop-size", "80")
+    page.press("#crop-size", "Tab")
+    accessible(page, "a square of footage")
+
+
+def accessible(page: Page, state: str) -> None:
+    page.wait_for_timeout(300)
+    found = Axe().run(page, options=WCAG)
+    assert found.response["violations"] == [], f"{state}: {found.generate_report()}"
 
 
 @pytest.mark.parametrize("width", [320, 390, 700, 1000, 1300])
@@ -83,7 +136,8 @@ def test_everything_is_reached_with_the_tab_key(page: Page):
     wanted = {
         "skip", "theme", "source-scene", "scenario-ellipsoid", "seed", "dice", "balls-1", "horizon",
         "final", "go", "screen", "play", "scrub", "speed", "ellipses", "truth", "surface",
-        "surface-reset", "save-json", "save-gif", "language-curl", "copy", "snippet",
+        "surface-reset", "save-json", "save-png", "save-gif", "save-webm", "save-frames",
+        "copy-link", "language-curl", "copy", "snippet", "zoom-in",
     }  # fmt: skip
     assert wanted <= reached
     page.focus("#scenario-ellipsoid")

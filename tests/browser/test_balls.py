@@ -94,7 +94,7 @@ def test_clicks_select_balls(page: Page, places: np.ndarray, model: str):
     balls = json.loads(asked[-1].post_data or "")["balls"]
     assert np.allclose([(ball["x"], ball["y"]) for ball in balls], places[::-1], atol=1)
     expect(page.locator("#legend")).to_contain_text(f"auto: {model}")
-    expect(page.locator("#verdict")).to_contain_text("2 balls found (score ")
+    expect(page.locator("#verdict")).to_have_text("2 balls found.")
     assert "points=" in page.url
     for language, written in (("curl", '"balls": [{"x":'), ("python", "balls=[(")):
         page.check(f"#language-{language}", force=True)
@@ -152,8 +152,9 @@ def test_an_uncertain_ball_is_grey_and_reported(page: Page, places: np.ndarray):
     page.click("#go")
     expect(page.locator("#verdict")).to_have_attribute("data-warning", "true")
     expect(page.locator("#verdict")).to_have_text(
-        "Uncertain detection of the ball (score 0.21): the grey path may be wrong."
+        "The ball was not surely found: the grey path may be wrong."
     )
+    expect(page.locator("#notes")).to_contain_text("score 0.21; from 0.5 on a ball counts as found")
 
 
 def test_footage_is_sent_whole(open_page: OpenPage, address: str, tmp_path: Path):
@@ -173,7 +174,7 @@ def test_footage_is_sent_whole(open_page: OpenPage, address: str, tmp_path: Path
     expect(page.locator("#whole")).to_be_checked()
     page.click(".edit-actions .primary")
     until_forecast(page)
-    expect(page.locator("#verdict")).to_contain_text("score")
+    expect(page.locator("#verdict")).to_contain_text("Ball found.")
     page.check("#balls-0", force=True)
     until_forecast(page)
     page.click("#recrop")

@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import shutil
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from PIL import Image
 from playwright.sync_api import Page, expect
 
 from rollcast.client import Client, Simulation
-from tests.browser.conftest import OpenPage, figures, pixels, until_forecast
+from tests.browser.conftest import WIDTHS, OpenPage, figures, pixels, until_forecast
 from tests.e2e.conftest import ROOT, serving
 
 SIZE, LEFT, TOP = 240, 52, 8
@@ -82,6 +83,39 @@ def crop(page: Page) -> None:
         page.press(f"#crop-{name}", "Tab")
 
 
+def unfold(page: Page) -> None:
+    """Open the controls, which are folded on a phone."""
+    if page.locator("#fold").is_visible():
+        page.click("#fold")
+
+
+def positions_at(scene: Simulation, times_s: np.ndarray) -> np.ndarray:
+    """Positions of the first ball at times, pixels; NaN after the end."""
+    known_s = np.arange(scene.positions.shape[1]) / 40
+    columns = [
+        np.interp(times_s, known_s, scene.positions[0, :, axis], right=np.nan) for axis in (0, 1)
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def sent_frames(page: Page) -> list[np.ndarray]:
+    """Frames that the models see, as the page hands them out."""
+    with page.expect_download() as download:
+        page.click("#save-frames")
+    with zipfile.ZipFile(download.value.path()) as archive:
+        assert archive.testzip() is None
+        names = sorted(name for name in archive.namelist() if name.startswith("frame-"))
+        pictures = [Image.open(io.BytesIO(archive.read(name))).convert("RGB") for name in names]
+    return [np.asarray(picture, float) for picture in pictures]
+
+
+def decoded(path: Path) -> list[np.ndarray]:
+    """The square of a clip's frames that the models see."""
+    with av.open(path) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    return [frame[TOP : TOP + SIZE, LEFT : LEFT + SIZE].astype(float) for frame in frames]
+
+
 def saved(page: Page) -> dict:
     with page.expect_download() as download:
         page.click("#save-json")
@@ -101,23 +135,37 @@ def page(open_page: OpenPage, address: str) -> Page:
     return page
 
 
+@pytest.mark.parametrize("viewport", WIDTHS, ids=lambda viewport: viewport["width"])
 @pytest.mark.parametrize(("rate", "within_px"), [(40, 4.0), (30, 12.0)])
-def test_a_dropped_video(page: Page, scene: Simulation, clips, rate: int, within_px: float):
+def test_a_dropped_video(
+    open_page: OpenPage, address: str, scene: Simulation, clips, rate, within_px, viewport
+):
+    page = open_page(address, viewport=viewport)
+    until_forecast(page)
+    unfold(page)
     drop(page, clips[rate])
     expect(page.locator("#footage-name")).to_contain_text(f"rolling-{rate}.webm: 320 × 256, 1.6")
+    assert page.input_value("#spacing") == ""
+    expect(page.locator("#spacing-hint")).to_contain_text("the model is told their rate: 15 to 125")
     crop(page)
     positions = forecast_of(page)
-    truth = scene.positions[0, 3:43]
+    document = saved(page)
+    assert document["request"]["frame_rate"] == pytest.approx(rate, rel=0.02)
+    times_s = 3 / rate + np.arange(40) / rate
+    truth = positions_at(scene, times_s)
     errors = np.linalg.norm(positions - truth, axis=-1)
-    # As near as the model is with the frames themselves; a camera of another rate is blended.
-    assert errors[:20].mean() < within_px, errors
-    expect(page.locator("#notes li")).to_have_count(0 if rate == 40 else 1)
+    assert np.nanmean(errors[:20]) < within_px, errors
+    assert "blended" not in page.locator("#notes").inner_text()
+    expect(page.locator("#horizon-text")).to_have_text(f"40 steps, {40 / rate:.2f} s")
+    # Every frame is one that the camera took.
+    for sent, taken in zip(sent_frames(page), decoded(clips[rate])[:4], strict=True):
+        assert np.abs(sent - taken).mean() < 3
     assert figures(page)[0] == "–", "nobody knows the truth"
     # The footage goes on under the forecast.
     page.click("#first")
     first = pixels(page)
     page.click("#end")
-    expect(page.locator("#badge")).to_have_text("+0.975 s")
+    expect(page.locator("#badge")).to_contain_text(f"+{39 / rate:.3f} s")
     assert pixels(page) != first
     expect(page.locator("#surface-note")).to_contain_text("The ground of your footage is unknown")
 
@@ -232,8 +280,22 @@ def test_a_spacing_that_the_models_do_not_know(page: Page, clips):
     page.press("#spacing", "Tab")
     page.click("#go")
     until_forecast(page)
-    assert saved(page)["request"]["frame_rate"] == pytest.approx(20)
-    expect(page.locator("#notes")).to_contain_text("these are 20.0 a second")
+    document = saved(page)
+    assert document["request"]["frame_rate"] == pytest.approx(20)
+    assert document["forecasts"][0]["model"]["name"] == "any-ball", "which is told the rate"
+    page.check('#models input[value="fieldnet"]')
+    page.uncheck('#models input[value="auto"]')
+    expect(page.locator("#spacing")).to_have_value("25")
+    page.fill("#spacing", "50")
+    page.press("#spacing", "Tab")
+    page.click("#go")
+    until_forecast(page)
+    expect(page.locator("#notes")).to_contain_text("20 a second and fieldnet@1 was trained on 40")
+    page.fill("#spacing", "30")
+    page.press("#spacing", "Tab")
+    page.click("#go")
+    until_forecast(page)
+    expect(page.locator("#notes")).to_contain_text("they are blended from those before and after")
 
 
 def test_a_final_frame_of_footage(page: Page, clips):

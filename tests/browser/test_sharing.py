@@ -5,15 +5,18 @@ import io
 import json
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import av
 import numpy as np
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from PIL import Image
 from playwright.sync_api import Page, expect
 
-from tests.browser.conftest import still, until_forecast
+from tests.browser.conftest import WIDTHS, OpenPage, still, until_forecast
+from tests.browser.test_access import WCAG
 from tests.e2e.conftest import ROOT
 
 
@@ -130,14 +133,12 @@ def test_calls_with_footage(page: Page, address: str, tmp_path: Path, language: 
     page.set_input_files("#files", sorted(tmp_path.glob("shot-*.png")))
     page.click("#go")
     until_forecast(page)
-    downloads = []
-    page.on("download", lambda download: downloads.append(download))
-    page.click("#save-frames")
-    while len(downloads) < 4:
-        page.wait_for_timeout(50)
-    for download in downloads:
-        download.save_as(tmp_path / download.suggested_filename)
-    assert (tmp_path / "frame-3.png").exists()
+    name, content = saved(page, "frames")
+    assert name.endswith(".zip")
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        assert archive.testzip() is None
+        assert archive.namelist() == [f"frame-{index}.png" for index in range(4)]
+        archive.extractall(tmp_path)
     printed = run(language, copied(page, language), tmp_path)
     expected = last_position(page)
     if language == "curl":
@@ -145,3 +146,41 @@ def test_calls_with_footage(page: Page, address: str, tmp_path: Path, language: 
         np.testing.assert_allclose(answer["objects"][0]["positions"][-1], expected, atol=0.05)
     else:
         assert printed.startswith("fieldnet [[")
+
+
+def test_the_frames_of_a_final_frame_are_five(page: Page):
+    page.check("#final")
+    until_forecast(page)
+    _, content = saved(page, "frames")
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        assert archive.testzip() is None
+        names = [f"frame-{index}.png" for index in range(4)]
+        assert archive.namelist() == [*names, "final.png"]
+        with Image.open(io.BytesIO(archive.read("final.png"))) as picture:
+            assert picture.size == (256, 256)
+
+
+@pytest.mark.parametrize("viewport", WIDTHS, ids=lambda viewport: viewport["width"])
+def test_the_link_is_copied(open_page: OpenPage, address: str, viewport: dict):
+    page = open_page(address, "#seed=11", viewport=viewport)
+    until_forecast(page)
+    page.click("#copy-link")
+    expect(page.locator("#link-copied")).to_have_text("The link is copied.")
+    link = page.evaluate("navigator.clipboard.readText()")
+    assert link == page.url
+    assert "seed=11" in link
+
+
+@pytest.mark.parametrize("viewport", WIDTHS, ids=lambda viewport: viewport["width"])
+def test_the_guide_is_served(open_page: OpenPage, address: str, viewport: dict):
+    page = open_page(address, viewport=viewport, bypass_csp=True)
+    until_forecast(page)
+    page.get_by_role("link", name="Guide").click()
+    expect(page.locator("h1")).to_have_text("Your own video")
+    assert page.evaluate("document.documentElement.scrollWidth") <= viewport["width"]
+    found = Axe().run(page, options=WCAG)
+    assert found.response["violations"] == [], found.generate_report()
+    page.get_by_role("link", name="Troubleshooting").first.click()
+    expect(page.locator("h1")).to_have_text("Troubleshooting")
+    page.get_by_role("link", name="Rollcast", exact=True).click()
+    until_forecast(page)

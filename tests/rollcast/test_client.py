@@ -11,6 +11,7 @@ from PIL import Image
 
 from rollcast.client import Client
 from rollcast.client.images import decoded, encoded
+from rollcast.client.testing import FakeService
 from rollcast.errors import (
     AuthError,
     BadRequestError,
@@ -159,6 +160,56 @@ def test_a_crop_is_the_largest_square_in_the_middle(shape, tmp_path):
 def test_what_is_no_frame_is_refused_here(frame, error, message):
     with pytest.raises(error, match=message):
         encoded(frame, None)
+
+
+@pytest.mark.parametrize(
+    "frames",
+    [
+        np.zeros((3, 48, 48), np.uint8),
+        np.zeros((1, 48, 48), np.float32),
+        np.zeros((48, 48, 3), np.uint8),
+        np.zeros((48, 48), np.uint8),
+    ],
+    ids=lambda frames: str(frames.shape),
+)
+def test_one_picture_is_not_taken_for_frames(client, frames):
+    with pytest.raises(TypeError, match=r"frames is one picture of the shape .*, expected a list"):
+        client(Service(FORECAST)).predict(frames)
+    with pytest.raises(TypeError, match="frames is one memoryview, expected a list of four"):
+        client(Service(FORECAST)).predict(memoryview(frames.tobytes()))
+
+
+def test_four_grey_pictures_in_one_array_are_frames(client):
+    service = Service(FORECAST)
+    client(service).predict(np.zeros((4, 48, 48), np.uint8), horizon=2)
+    assert service.body.count(b'name="frames"') == 4
+
+
+@pytest.mark.parametrize("how", ["predict", "stream", "many", "detect", "session"])
+def test_frames_of_opencv_are_sent_as_rgb(client, how):
+    service = FakeService()
+    connected = client(service)
+    red = np.zeros((48, 48, 3), np.uint8)
+    red[..., 2] = 200  # the last channel of BGR
+    frames = [red] * 4
+    if how == "predict":
+        connected.predict(frames, final_frame=red, channels="bgr", horizon=2)
+    elif how == "stream":
+        list(connected.predict_stream(frames, channels="bgr", horizon=2))
+    elif how == "many":
+        connected.predict_many([frames], channels="bgr", horizon=2)
+    elif how == "detect":
+        connected.detect(frames, channels="bgr")
+    else:
+        with connected.session(channels="bgr", horizon=2) as session:
+            for frame in frames:
+                session.send(frame)
+                session.receive()
+    asked = service.requests[-1]
+    sent = [*asked.frames, *([asked.final_frame] if asked.final_frame else [])]
+    assert len(sent) == (5 if how == "predict" else 4)
+    for data in sent:
+        assert decoded(data)[0, 0].tolist() == [200, 0, 0]
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,8 @@
 """Videos as the frames of a forecast, with both clients."""
 
+from dataclasses import replace
+from typing import ClassVar
+
 import av
 import numpy as np
 import pytest
@@ -8,6 +11,8 @@ from rollcast.client.clips import told_rates
 from rollcast.client.images import encoded
 from rollcast.client.testing import FakeService
 from rollcast.errors import FootageError, InvalidArgumentError
+from rollcast.footage import WholePicture
+from rollcast.frames import as_frame
 from rollcast.schemas import ModelDetail
 from rollcast.video import read_frames
 
@@ -41,6 +46,13 @@ def test_four_frames_are_read_from_a_start_on(client, clip, as_text):
     assert float(asked.fields["frame_rate"]) == pytest.approx(40)
     assert "start_s" not in asked.fields
     assert forecast.frame_size == (SIDE, SIDE)
+    (warning,) = forecast.warnings
+    assert warning.startswith("the pictures are not square, and their middle was sent (8,0,48)")
+
+
+def test_a_square_that_is_asked_for_is_cut_without_a_warning(client, clip):
+    forecast = client(FakeService()).predict(clip, horizon=3, crop="square")
+    assert forecast.frame_size == (SIDE, SIDE)
     assert forecast.warnings == ()
 
 
@@ -65,16 +77,75 @@ def test_blended_frames_are_told(client, tmp_path):
     assert stream.forecast.warnings == forecast.warnings
 
 
-class ToldItsRate(FakeService):
-    """A service with a model that is told the rate of its frames."""
+class ServingEntry(FakeService):
+    """A service whose model has further properties."""
+
+    properties: ClassVar = {}
 
     def _served(self, asked):
+        if asked.path.startswith("/predict") and "max_objects" in self.properties:
+            # The fake reads rectangles where points select balls; this model finds them itself.
+            found = {"balls": '[{"x": 9, "y": 9}]'}
+            asked = replace(asked, fields={**asked.fields, **found})
         response = super()._served(asked)
         if asked.path == "/models":
             (entry,) = response.json()["models"]
-            told = {"models": [entry | {"frame_rates_hz": [15, 125]}]}
-            response = type(response)(200, json=told)
+            response = type(response)(200, json={"models": [entry | self.properties]})
         return response
+
+
+class ToldItsRate(ServingEntry):
+    """A service with a model that is told the rate of its frames."""
+
+    properties: ClassVar = {"frame_rates_hz": [15, 125], "max_objects": 8}
+
+
+class ForAnyNumber(ServingEntry):
+    """A service with a model for any number of balls."""
+
+    properties: ClassVar = {"max_objects": 8, "scenarios": ["ellipsoid"]}
+
+
+@pytest.fixture
+def portrait(tmp_path):
+    """A clip of a phone that is held upright: the ball rolls above the square in the middle."""
+    path = tmp_path / "phone.mp4"
+    with av.open(path, "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 72, 128, "yuv420p"
+        for index in range(12):
+            picture = np.full((128, 72, 3), 90, np.uint8)
+            picture[6:18, 4 * index : 4 * index + 12] = 230
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
+    return path
+
+
+@pytest.mark.parametrize("scenario", [None, "ellipsoid"])
+def test_a_portrait_clip_is_sent_whole_where_auto_reads_it(client, portrait, scenario):
+    service = ForAnyNumber()
+    forecast = client(service).predict(portrait, horizon=3, scenario=scenario, frame_rate=30)
+    assert forecast.frame_size == (72, 128)
+    assert forecast.warnings == ()
+    assert as_frame(service.requests[-1].frames[0])[:24].max() > 200, "the ball is there"
+
+
+NOT_WHOLE = {
+    "a final frame": ({}, {"final_frame": np.zeros((72, 72, 3), np.uint8)}),
+    "another scenario": ({}, {"scenario": "hemisphere"}),
+    "no default version": ({"default": False}, {}),
+    "not loaded": ({"status": "unloaded"}, {}),
+}
+
+
+@pytest.mark.parametrize("case", NOT_WHOLE)
+def test_a_portrait_clip_that_auto_crops_is_reported(client, portrait, case):
+    properties, options = NOT_WHOLE[case]
+    service = ForAnyNumber()
+    service.properties = service.properties | properties
+    forecast = client(service).predict(portrait, horizon=3, frame_rate=30, **options)
+    assert forecast.frame_size == (72, 72)
+    assert "their middle was sent (0,28,72)" in forecast.warnings[-1]
 
 
 @pytest.mark.parametrize(
@@ -88,7 +159,7 @@ def test_frames_are_as_they_were_taken_for_a_model_that_is_told_their_rate(
     forecast = client(service).predict(video, horizon=3)
     assert forecast.warnings == ()
     assert float(service.requests[-1].fields["frame_rate"]) == pytest.approx(taken, rel=0.02)
-    expected = read_frames(video, frame_rate=taken)
+    expected = read_frames(video, frame_rate=taken, crop=WholePicture())
     assert [*service.requests[-1].frames] == [encoded(frame, None) for frame in expected.frames]
 
 
@@ -142,3 +213,33 @@ def test_what_cannot_be_read(client, clip):
         connected.predict("no-such.mp4")
     with pytest.raises(InvalidArgumentError, match="start_s is for a clip"):
         connected.predict(np.zeros((4, 48, 48, 3), np.uint8), start_s=1.0)
+
+
+class Named:
+    """A path of another library."""
+
+    def __init__(self, path):
+        self._path = path
+
+    def __fspath__(self):
+        return str(self._path)
+
+
+def test_a_path_of_another_library_is_a_clip(client, clip):
+    service = FakeService()
+    client(service).predict(Named(clip), horizon=3)
+    client(service).predict(clip, horizon=3)
+    first, second = (asked for asked in service.requests if asked.path == "/predict")
+    assert first.frames == second.frames
+
+
+def test_a_clip_has_its_own_order_of_channels(client, clip):
+    service = FakeService()
+    connected = client(service)
+    final = np.zeros((SIDE, SIDE, 3), np.uint8)
+    final[..., 0] = 200  # blue, in the order of OpenCV
+    connected.predict(clip, horizon=3, final_frame=final, channels="bgr")
+    connected.predict(clip, horizon=3, final_frame=final[..., ::-1])
+    one, other = (asked for asked in service.requests if asked.path == "/predict")
+    assert one.frames == other.frames
+    assert one.final_frame == other.final_frame

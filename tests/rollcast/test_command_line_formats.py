@@ -13,6 +13,7 @@ from rollcast.__main__ import main
 from rollcast.client import Client
 from rollcast.client.testing import FakeService
 from rollcast.plot import VIDEO_PX
+from tests.rollcast.test_client_clips import ForAnyNumber
 
 SIDE = 64
 OFF = 8
@@ -129,7 +130,9 @@ def test_json_is_the_whole_forecast(run, images):
     assert np.shape(answer["objects"][0]["positions"]) == (25, 2)
     assert np.shape(answer["objects"][0]["covariances"]) == (25, 2, 2)
     assert answer["objects"][0]["positions"][0][0] > OFF + 0.3 * SIDE
-    assert len(answer["warnings"]) == 1
+    cropped, horizon = answer["warnings"]
+    assert "are not square, and their middle was sent" in cropped
+    assert "horizon of 25" in horizon
 
 
 def video_frames(path):
@@ -223,3 +226,49 @@ def test_what_is_no_point_is_refused(run, images, given):
     code, _, err = run(images, f"--ball={given}")
     assert code == 2
     assert given in err
+
+
+@pytest.mark.parametrize("ending", [".png", ".gif"])
+def test_a_terminal_names_the_stage_of_how_many(run, video, tmp_path, monkeypatch, ending):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes any stream for a terminal
+    out = tmp_path / f"overlay{ending}"
+    code, _, shown = run(video, "--horizon", "3", "--out", out)
+    assert code == 0
+    for stage in ("1 of 3: reading the footage", "2 of 3: waiting", "3 of 3: drawing"):
+        assert stage in shown
+    monkeypatch.delenv("FORCE_COLOR")
+    assert " of " not in run(video, "--horizon", "3")[2]
+
+
+@pytest.fixture
+def portrait(tmp_path):
+    """A second of a phone that is held upright."""
+    path = tmp_path / "phone.mkv"
+    with av.open(path, "w") as container:
+        stream = container.add_stream("ffv1", rate=30)
+        stream.width, stream.height, stream.pix_fmt = SIDE, 2 * SIDE, "bgr0"
+        for number in range(30):
+            frame = np.full((2 * SIDE, SIDE, 3), 8 * number, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode())
+    return path
+
+
+@pytest.mark.parametrize("more", [[], ["--crop", f"0,0,{SIDE}"], ["--final", "5"]])
+def test_a_portrait_clip_is_cropped_with_a_warning_only_by_default(run, service, portrait, more):
+    code, _, errors = run(portrait, "--horizon", "6", "--rate", "30", "--format", "csv", *more)
+    assert code == 0, errors
+    assert ("are not square, and their middle was sent" in errors) == ("--crop" not in more)
+    for data in service.requests[-1].frames:
+        with Image.open(io.BytesIO(data)) as picture:
+            assert picture.size == (SIDE, SIDE)
+
+
+def test_a_portrait_clip_is_sent_whole_where_auto_reads_it(portrait, capsys):
+    service = ForAnyNumber()
+    command = ["predict", str(portrait), "--horizon", "6", "--format", "csv"]
+    assert main(command, lambda url: Client(url, transport=service)) == 0
+    assert "square" not in capsys.readouterr().err
+    for data in service.requests[-1].frames:
+        with Image.open(io.BytesIO(data)) as picture:
+            assert picture.size == (SIDE, 2 * SIDE)

@@ -47,6 +47,7 @@ SAME_AS_RGB = {
     "palette": Image.fromarray(GREY).convert("P"),
     "bytes": PNG,
     "bytearray": bytearray(PNG),
+    "memoryview": memoryview(PNG),
     "open file": io.BytesIO(PNG),
 }
 if torch is not None:
@@ -72,6 +73,8 @@ def test_a_path_and_an_open_file(tmp_path):
     path.write_bytes(PNG)
     np.testing.assert_array_equal(as_frame(path), RGB)
     np.testing.assert_array_equal(as_frame(str(path)), RGB)
+    (entry,) = os.scandir(tmp_path)
+    np.testing.assert_array_equal(as_frame(entry), RGB)
     with path.open("rb") as file:
         np.testing.assert_array_equal(as_frame(file), RGB)
     with path.open("r") as file, pytest.raises(TypeError, match="mode 'rb'"):

@@ -94,6 +94,7 @@ class AsyncClient(
         min_score: float = 0.25,
         refine_still: bool = True,
         crop: Optional[Literal['square']] = None,
+        channels: Literal['rgb', 'bgr'] = 'rgb',
     ) -> rollcast.client.results.Detections
     async def health(
         self,
@@ -108,7 +109,7 @@ class AsyncClient(
     ) -> list[rollcast.schemas.ModelEntry]
     async def predict(
         self,
-        frames: Frames | pathlib.Path | str,
+        frames: Frames | os.PathLike[str] | str,
         *,
         horizon: int | numpy.integer[Any] | None = None,
         model: str = 'auto',
@@ -120,10 +121,11 @@ class AsyncClient(
         step_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
         start_s: float | None = None,
+        channels: Literal['rgb', 'bgr'] = 'rgb',
     ) -> rollcast.client.results.Forecast
     async def predict_many(
         self,
-        sequences: Iterable[Frames | pathlib.Path | str],
+        sequences: Iterable[Frames | os.PathLike[str] | str],
         *,
         final_frames: Iterable[Frame] | None = None,
         concurrency: int = 4,
@@ -131,7 +133,7 @@ class AsyncClient(
     ) -> list[rollcast.client.results.Forecast]
     def predict_stream(
         self,
-        frames: Frames | pathlib.Path | str,
+        frames: Frames | os.PathLike[str] | str,
         *,
         final_frame: Frame | None = None,
         **options: Unpack[ForecastOptions],
@@ -146,6 +148,7 @@ class AsyncClient(
         frame_rate: float | None = None,
         step_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
+        channels: Literal['rgb', 'bgr'] = 'rgb',
     ) -> rollcast.client.aio_session.AsyncSession
     async def simulate(
         self,
@@ -163,7 +166,7 @@ class AsyncClient(
     ) -> rollcast.client.results.Simulation
 class AsyncForecastStream(
         client: rollcast.client.aio.AsyncClient,
-        frames: Frames | pathlib.Path | str,
+        frames: Frames | os.PathLike[str] | str,
         final_frame: Frame | None,
         options: rollcast.client.calls.ForecastOptions,
     ) -> None
@@ -175,6 +178,7 @@ class AsyncSession(
         target: rollcast.client.connection.Target,
         call: rollcast.client.calls.Call[rollcast.client.results.Forecast],
         crop: Optional[Literal['square']],
+        channels: Literal['rgb', 'bgr'],
         *,
         timeout_s: float,
         retries: int,
@@ -229,6 +233,7 @@ class Client(
         min_score: float = 0.25,
         refine_still: bool = True,
         crop: Optional[Literal['square']] = None,
+        channels: Literal['rgb', 'bgr'] = 'rgb',
     ) -> rollcast.client.results.Detections
     def health(
         self,
@@ -243,7 +248,7 @@ class Client(
     ) -> list[rollcast.schemas.ModelEntry]
     def predict(
         self,
-        frames: Frames | pathlib.Path | str,
+        frames: Frames | os.PathLike[str] | str,
         *,
         horizon: int | numpy.integer[Any] | None = None,
         model: str = 'auto',
@@ -255,10 +260,11 @@ class Client(
         step_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
         start_s: float | None = None,
+        channels: Literal['rgb', 'bgr'] = 'rgb',
     ) -> rollcast.client.results.Forecast
     def predict_many(
         self,
-        sequences: Iterable[Frames | pathlib.Path | str],
+        sequences: Iterable[Frames | os.PathLike[str] | str],
         *,
         final_frames: Iterable[Frame] | None = None,
         concurrency: int = 4,
@@ -266,7 +272,7 @@ class Client(
     ) -> list[rollcast.client.results.Forecast]
     def predict_stream(
         self,
-        frames: Frames | pathlib.Path | str,
+        frames: Frames | os.PathLike[str] | str,
         *,
         final_frame: Frame | None = None,
         **options: Unpack[ForecastOptions],
@@ -281,6 +287,7 @@ class Client(
         frame_rate: float | None = None,
         step_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
+        channels: Literal['rgb', 'bgr'] = 'rgb',
     ) -> rollcast.client.sync_session.Session
     def simulate(
         self,
@@ -374,7 +381,7 @@ class ForecastStep(
     positions: jaxtyping.Float64[ndarray, 'objects 2']
 class ForecastStream(
         client: rollcast.client.sync.Client,
-        frames: Frames | pathlib.Path | str,
+        frames: Frames | os.PathLike[str] | str,
         final_frame: Frame | None,
         options: rollcast.client.calls.ForecastOptions,
     ) -> None
@@ -384,10 +391,11 @@ class ForecastStream(
     forecast: rollcast.client.results.Forecast
 Frame = numpy.ndarray
     | PIL.Image.Image
-    | pathlib.Path
+    | os.PathLike[str]
     | str
     | bytes
     | bytearray
+    | memoryview
     | rollcast.frames.SupportsRead
     | rollcast.frames.SupportsArray
 Frames = Sequence[Frame]
@@ -397,6 +405,7 @@ class Session(
         target: rollcast.client.connection.Target,
         call: rollcast.client.calls.Call[rollcast.client.results.Forecast],
         crop: Optional[Literal['square']],
+        channels: Literal['rgb', 'bgr'],
         *,
         timeout_s: float,
         retries: int,

@@ -1,9 +1,9 @@
 """Clips with tracks as training data: a user's own set-up, or Roll4Real (paper, section 5.3).
 
 A folder holds clips, in any depth: ``NAME.mp4`` (or another video, or a folder ``NAME/`` of images)
-beside ``NAME.parquet``, the tracks that ``rollcast track`` writes. Clips of one name in several
-folders are called by their paths, ``mon/NAME``. ``setup.json`` at its top may say which square of
-the pictures the networks see and which clips belong to which split:
+beside ``NAME.parquet`` or ``NAME.csv``, the tracks that ``rollcast track`` writes. Clips of one
+name in several folders are called by their paths, ``mon/NAME``. ``setup.json`` at its top may say
+which square of the pictures the networks see and which clips belong to which split:
 
     {"crop": [125, 0, 475], "splits": {"validation": ["clip3"], "test": ["clip4"]}}
 
@@ -29,7 +29,7 @@ from rollcast.errors import FootageError
 from rollcast.footage import SquareCrop
 from rollcast.frames import read_file
 from rollcast.image_sequence import ImageSequence, image_files, is_hidden
-from rollcast.tracking.tracks import Tracks
+from rollcast.tracking.tracks import CSV, PARQUET, Tracks, is_csv_of_tracks
 from rollcast.trajectory import FIRST_FORECAST_FRAME, OBSERVED_FRAMES
 from training.common.distributed import Share
 from training.common.settings import runs_folder
@@ -212,7 +212,8 @@ def load_clips(folder: Path) -> dict[Split, list[Clip]]:
     tracked = _tracked(folder)
     if not tracked:
         raise FootageError(
-            f"{folder} holds no tracks (NAME.parquet beside NAME.mp4): run `rollcast track` first"
+            f"{folder} holds no tracks (NAME.parquet or NAME.csv beside NAME.mp4): run "
+            "`rollcast track` first"
         )
     setup = _setup(folder / SETUP_FILE)
     crop = None if setup.crop is None else SquareCrop(*setup.crop)
@@ -230,9 +231,15 @@ def _tracked(folder: Path) -> dict[str, Path]:
     """Return the tracks in a folder by the names of their clips, which are all different."""
     found = [
         path
-        for path in sorted(folder.rglob("*.parquet"))
+        for path in sorted((*folder.rglob(f"*{PARQUET}"), *folder.rglob(f"*{CSV}")))
         if not any(part.startswith(".") for part in path.relative_to(folder).parts)
+        and (path.suffix == PARQUET or is_csv_of_tracks(path))
     ]
+    clips = Counter(path.with_suffix("") for path in found)
+    if twice := [clip for clip, count in clips.items() if count > 1]:
+        raise FootageError(
+            f"{twice[0]} has tracks in {PARQUET} and in {CSV}: remove one of the two files"
+        )
     often = Counter(path.stem for path in found)
     return {
         path.stem

@@ -16,21 +16,22 @@ export class Bring {
     this._listener = listener;
     this.footage = null;
     this.crop = { x: 0, y: 0, size: 128 };
-    /** Training data of the models: frame rate and, for one set-up, the crop. */
-    this.known = { rate: FRAME_RATE_HZ, crop: null };
+    /** What the models expect: frames a second, those that they are told, the square of a set-up. */
+    this.known = { rate: FRAME_RATE_HZ, toldRates: null, crop: null };
     this._editor = new CropEditor((crop) => this._cropped(crop));
     this._listen();
   }
 
   /** Selected part of the footage. */
   get wanted() {
+    const typedMs = Number(byId("spacing").value);
     return {
       startS: Number(byId("start").value),
-      spacingS: Math.max(Number(byId("spacing").value) || 1000 / this.known.rate, 0.1) / 1000,
+      spacingS: Math.max(typedMs || 1000 / this.known.rate, 0.1) / 1000,
+      toldRates: typedMs ? null : this.known.toldRates,
       crop: this.isWhole
         ? { x: 0, y: 0, width: this.footage.width, height: this.footage.height }
         : this.crop,
-      knownRate: this.known.rate,
     };
   }
 
@@ -46,8 +47,8 @@ export class Bring {
   }
 
   /**
-   ** Set frame rate and crop to those of a model.
-   * @param {{rate: number, crop: number[] | null}} known
+   * Take the frames as a model knows them.
+   * @param {{rate: number, toldRates: [number, number] | null, crop: number[] | null}} known
    * @returns {boolean} whether that changes anything
    */
   suit(known) {
@@ -58,11 +59,15 @@ export class Bring {
   }
 
   _suit() {
-    const { rate, crop } = this.known;
-    byId("spacing").value = String(Number((1000 / rate).toFixed(2)));
-    byId("spacing-hint").textContent =
-      `The model is trained on ${byId("spacing").value} ms, ${Number(rate.toFixed(2))} frames a second. ` +
-      "Frames that a camera did not take are blended.";
+    const { rate, toldRates, crop } = this.known;
+    const usual = String(Number((1000 / rate).toFixed(2)));
+    byId("spacing").value = toldRates ? "" : usual;
+    byId("spacing").placeholder = toldRates ? "camera's own" : usual;
+    byId("spacing-hint").textContent = toldRates
+      ? "Left empty, the camera's own frames are sent, and the model is told their rate: " +
+        `${toldRates.map((told) => Math.round(told)).join(" to ")} frames a second.`
+      : `The model expects ${usual} ms, ${Number(rate.toFixed(2))} frames a second. ` +
+        "Where the camera took no frame, one is blended from those before and after.";
     if (!crop || !this.footage) return;
     this._hasSquare = true;
     byId("whole").checked = false;

@@ -7,6 +7,11 @@ const LARGEST = 640;
 /** How far back pictures are kept, and how many at least: cameras in the dark are slow. */
 const KEPT_MS = 400;
 const FEWEST = 6;
+/**
+ * Share of the time between two pictures by which one of them may come early or late: the clocks of
+ * browsers jitter, while cameras take their pictures evenly.
+ */
+const SNAP = 0.5;
 
 /** No camera; the message is for its user. */
 export class CameraError extends Error {}
@@ -147,6 +152,7 @@ export class Camera {
       width: picture.width,
       height: picture.height,
       newestMs,
+      snap: SNAP,
       intervalAt: async () => intervalS,
       shotAt: async (timeS) => {
         if (timeS > ages.at(-1).timeS + intervalS) return null;

@@ -6,7 +6,7 @@ import {
 } from "./models.js";
 import { showPicks } from "./picks.js";
 import { installScenePanel, showScenePanel } from "./scene_panel.js";
-import { pointsOf } from "./state.js";
+import { MOST_BALLS, MOST_SIMULATED, pointsOf } from "./state.js";
 
 const SCENARIOS = ["hemisphere", "ellipsoid", "heightfield", "table"];
 const RADIOS = { source: String, scenario: String, balls: Number };
@@ -57,7 +57,8 @@ export function possible(choices, entries) {
   const source = { ...choices, ...change };
   const any = forAnyNumber(entries, choices);
   if (choices.points && entries.length && !any) change.points = source.points = "";
-  if (choices.balls === 0 && entries.length && (choices.source === "scene" || !any)) {
+  const isNone = choices.source === "scene" && choices.balls > MOST_SIMULATED;
+  if (isNone || (choices.balls === 0 && entries.length && (choices.source === "scene" || !any))) {
     change.balls = source.balls = 1;
   }
   if (!isServed(entries, { ...source, finalFrame: false }) && entries.length) {
@@ -87,6 +88,7 @@ export function showControls(choices, entries, store) {
   byId("truth").disabled = choices.source !== "scene";
   byId("split").checked = choices.layout === "split";
   byId("split").disabled = choices.models.length < 2;
+  byId("view-hint").textContent = viewHint(choices);
   byId("speed").value = String(choices.speed);
   showScenePanel(choices);
   showBalls(choices, entries);
@@ -104,23 +106,37 @@ export function showSimulation(isInstalled) {
     : "Simulation (not installed)";
 }
 
+/** Why options of the picture cannot be chosen. */
+function viewHint({ source, models }) {
+  if (source === "camera") return "";
+  const reasons = [];
+  if (models.length < 2) reasons.push("Side by side needs a second model.");
+  if (source !== "scene") reasons.push("Only simulations have a true path.");
+  return reasons.join(" ");
+}
+
 function showBalls(choices, entries) {
   const numbers = { ...choices, points: "", finalFrame: false };
   const served = (balls) => isServed(entries, { ...numbers, balls });
-  for (const balls of [0, 1, 2, 3, 4]) byId(`balls-${balls}`).disabled = !served(balls);
-  byId("balls-0").parentElement.hidden = choices.source === "scene" || !served(0);
+  for (let balls = 0; balls <= MOST_BALLS; balls++) {
+    const radio = byId(`balls-${balls}`);
+    radio.disabled = !served(balls);
+    const isExtra = balls === 0 || balls > MOST_SIMULATED;
+    radio.parentElement.hidden = isExtra && (choices.source === "scene" || !served(balls));
+  }
   const isOffered = choices.source !== "camera" && forAnyNumber(entries, choices) !== null;
   showPicks(pointsOf(choices), isOffered);
-  // No scene has four.
-  byId("balls-4").parentElement.hidden = choices.source === "scene" || !served(4);
   const absent = [2, 3].filter((balls) => !served(balls));
-  const elsewhere = SCENARIOS.filter((scenario) =>
-    absent.some((balls) => isServed(entries, { ...numbers, scenario, balls })),
-  );
   byId("balls-hint").hidden = !absent.length || !entries.length;
-  byId("balls-hint").textContent = elsewhere.length
-    ? `For ${absent.join(" and ")} balls there are models of the ${elsewhere.join(" and the ")} alone.`
-    : `No model for ${absent.join(" or ")} balls is served.`;
+  byId("balls-hint").textContent = absent.map((balls) => absentHint(balls, numbers, entries)).join(" ");
+}
+
+/** Where a number of balls has a model. */
+function absentHint(balls, choices, entries) {
+  const known = SCENARIOS.filter((scenario) => isServed(entries, { ...choices, scenario, balls }));
+  return known.length
+    ? `For ${balls} balls there are models of the ${known.join(" and the ")} alone.`
+    : `No model for ${balls} balls is served.`;
 }
 
 function showFinal(choices, entries) {
@@ -142,6 +158,13 @@ function finalHint({ source, finalFrame }, finalStep) {
   return finalFrame
     ? `It shows step ${finalStep}, so the horizon is ${finalStep + 1} steps.`
     : "";
+}
+
+/** Say how far the horizon reaches at the rate of the frames that are there. */
+export function showRate(rate) {
+  if (byId("horizon").dataset.rate === String(rate)) return;
+  byId("horizon").dataset.rate = String(rate);
+  showHorizon(Number(byId("horizon").value), rate);
 }
 
 function showHorizon(steps, rate) {

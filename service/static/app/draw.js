@@ -3,7 +3,7 @@
 import { ellipseOf, MOST } from "./figures.js";
 import { CASING, UNCERTAIN, faded, ON_PICTURES, TRUTH } from "./palette.js";
 import { LAST_SEEN } from "./state.js";
-import { isUncertain } from "./verdict.js";
+import { firstUntrained, isUncertain } from "./verdict.js";
 
 /** How many ellipses along the way leave the ball of a running picture in sight. */
 const LIVE_ELLIPSES = 6;
@@ -19,6 +19,7 @@ const LIVE_ELLIPSES = 6;
  * @property {object[]} forecasts those to be drawn, with `slot` and `objects`
  * @property {object[] | null} truth
  * @property {boolean} ellipses
+ * @property {import("./zoom.js").View} [view] the part that is shown; all of it by default
  */
 
 /**
@@ -42,7 +43,7 @@ export function drawMoment(context, side, picture) {
       // While points are selected, the whole path is drawn.
       const isChoosing = picture.index === LAST_SEEN && picture.points.length > 0;
       const until = isChoosing ? ball.positions.length : Math.max(step + 1, 0);
-      drawPath(pen, ball.positions.slice(0, until), color, 3);
+      drawForecastPath(pen, forecast, ball.positions.slice(0, until), color);
     }
   }
   for (const ball of picture.truth ?? []) drawRing(pen, ball.positions[picture.index]);
@@ -70,7 +71,7 @@ export function drawLive(context, side, picture) {
     if (picture.ellipses) drawUncertainty(pen, forecast, last, Math.ceil(last / LIVE_ELLIPSES));
     for (const [index, ball] of forecast.objects.entries()) {
       const color = colorOf(forecast, index);
-      drawPath(pen, ball.positions, color, 3);
+      drawForecastPath(pen, forecast, ball.positions, color);
       drawMark(pen, ball.positions[last], forecast.slot, color);
       if (step > last) continue; // the forecast does not reach this picture
       const [x, y] = between(ball.positions, Math.max(step, 0));
@@ -95,12 +96,15 @@ function begin(context, side, picture) {
   context.lineJoin = context.lineCap = "round";
   context.fillStyle = "#08090b";
   context.fillRect(0, 0, side, side);
+  const { zoom, x, y } = picture.view ?? { zoom: 1, x: 0, y: 0 };
+  context.scale(zoom, zoom);
+  context.translate(-x * side, -y * side);
   context.translate((side - width * scale) / 2, (side - height * scale) / 2);
   context.beginPath();
   context.rect(0, 0, width * scale, height * scale);
   context.clip();
   drawFrame(context, width * scale, height * scale, picture);
-  return { context, scale, unit: side / 560 };
+  return { context, scale, unit: side / 560 / zoom };
 }
 
 /** Rings where the model saw the balls in a seen frame. */
@@ -152,11 +156,15 @@ function drawFrame(context, width, height, { frame, lastFrame }) {
   }
 }
 
-/** Ellipses of 95 % along the way, and of 95 % and 50 % for now. */
+/**
+ * Ellipses of 95 % along the way, and of 95 % and 50 % for now. There is none where nothing is known of
+ * how often the ball lies in it: for balls that are uncertain, and beyond the training.
+ */
 function drawUncertainty({ context, scale, unit }, forecast, step, every = 2) {
   for (const [index, ball] of forecast.objects.entries()) {
+    if (isUncertain(forecast, index)) continue;
     const color = colorOf(forecast, index);
-    const last = Math.min(step, ball.positions.length - 1);
+    const last = Math.min(step, ball.positions.length - 1, firstUntrained(forecast) - 1);
     context.fillStyle = faded(color, 0.07);
     for (let past = last % every; past < last; past += every) {
       trace(context, scale, ball.positions[past], ball.covariances[past], MOST);
@@ -186,6 +194,13 @@ function outline(context, color, width, unit) {
   context.strokeStyle = color;
   context.lineWidth = width;
   context.stroke();
+}
+
+/** A path, dashed beyond the training of its model. */
+function drawForecastPath(pen, forecast, positions, color) {
+  const trained = firstUntrained(forecast);
+  drawPath(pen, positions.slice(0, trained), color, 3);
+  drawPath(pen, positions.slice(Math.min(trained - 1, positions.length)), color, 3, [2, 8]);
 }
 
 function drawPath({ context, scale, unit }, positions, color, width, dash = []) {

@@ -7,11 +7,14 @@ import { signedSeconds } from "./figures.js";
 import { MARKS, ON_PICTURES } from "./palette.js";
 import { panelsOf, phaseOf } from "./stage.js";
 import { LAST_SEEN } from "./state.js";
+import { verdictOf } from "./verdict.js";
 
 const PICTURE_PX = 720;
 const VIDEO_PX = 480;
 const GIF_PX = 320;
 const STRIP = 0.085;
+/** Colour of a verdict that warns, on the dark strip. */
+const WARNING = "#FFB59A";
 
 /**
  * @typedef {object} Shown
@@ -117,8 +120,25 @@ class Composition {
     this._side = count > 1 ? Math.round(side * 0.75) : side;
     this._strip = 2 * Math.round((side * STRIP) / 2);
     // Encoders of videos want even sides.
-    this._canvas = canvasOf(2 * Math.ceil((this._side * count) / 2), this._side + this._strip);
+    const width = 2 * Math.ceil((this._side * count) / 2);
+    this._verdict = verdictOf(forecasts);
+    this._lines = linesOf(this._verdict.text, this._font, width - 2 * this._margin);
+    const said = 2 * Math.ceil((this._lines.length * 1.5 * this._size) / 2);
+    this._canvas = canvasOf(width, this._side + this._strip + said);
     this._canvas.getContext("2d", { willReadFrequently: true });
+  }
+
+  /** Height of letters, pixels. */
+  get _size() {
+    return this._strip * 0.4;
+  }
+
+  get _margin() {
+    return this._size * 0.7;
+  }
+
+  get _font() {
+    return `${this._size}px system-ui, sans-serif`;
   }
 
   draw(index) {
@@ -141,11 +161,11 @@ class Composition {
 
   _caption(context, index) {
     const { take, forecasts } = this._shown;
-    const size = this._strip * 0.4;
+    const size = this._size;
     const y = this._side + this._strip / 2;
-    context.font = `${size}px system-ui, sans-serif`;
+    context.font = this._font;
     context.textBaseline = "middle";
-    let x = size * 0.7;
+    let x = this._margin;
     for (const { slot, label } of forecasts) {
       context.fillStyle = ON_PICTURES[slot];
       context.fillText(`${MARKS[slot]} ${label}`, x, y);
@@ -154,7 +174,24 @@ class Composition {
     const time = signedSeconds((index - LAST_SEEN) / take.rate);
     const text = index <= LAST_SEEN ? `${phaseOf(index)}, ${time}` : time;
     context.fillStyle = "#ffffff";
-    const left = this._canvas.width - context.measureText(text).width - size * 0.7;
+    const left = this._canvas.width - context.measureText(text).width - this._margin;
     if (left > x) context.fillText(text, left, y);
+    context.fillStyle = this._verdict.isWarning ? WARNING : "#ffffff";
+    for (const [number, line] of this._lines.entries()) {
+      context.fillText(line, this._margin, y + (number + 1.1) * 1.5 * size);
+    }
   }
+}
+
+/** A sentence in lines of a width, pixels. */
+function linesOf(text, font, width) {
+  const context = canvasOf(1).getContext("2d");
+  context.font = font;
+  const lines = [];
+  for (const word of text.split(" ").filter(Boolean)) {
+    const longer = lines.length ? `${lines.at(-1)} ${word}` : word;
+    if (lines.length && context.measureText(longer).width <= width) lines[lines.length - 1] = longer;
+    else lines.push(word);
+  }
+  return lines;
 }

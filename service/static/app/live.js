@@ -8,6 +8,7 @@ import { drawLive } from "./draw.js";
 import { save } from "./export.js";
 import { cut } from "./footage.js";
 import { clipType, LastSeconds } from "./last_seconds.js";
+import { trainedSteps } from "./models.js";
 import { framesOf } from "./resample.js";
 import { formOf, pause } from "./session.js";
 import { LAST_SEEN, SEEN } from "./state.js";
@@ -24,15 +25,16 @@ const SLOW = 0.55;
 /**
  * @typedef {object} Wanted options of requests
  * @property {object} fields of a PredictRequest besides frames and rate
- * @property {number} rate frame rate of the model
+ * @property {number} rate frames a second that the model knows
+ * @property {[number, number] | null} toldRates lowest and highest rate that it is told
  * @property {boolean} isWhole whether it reads whole pictures
  * @property {boolean} ellipses
  */
 
 export class Live {
   /**
-   * @param {{canvas: () => HTMLCanvasElement, wanted: () => Wanted, changed: () => void,
-   *   clip: (file: File) => void}} listener `clip` receives the recording
+   * @param {{canvas: () => HTMLCanvasElement, wanted: () => Wanted, entries: () => object[],
+   *   changed: () => void, clip: (file: File) => void}} listener `clip` takes what was recorded
    */
   constructor(listener) {
     this._listener = listener;
@@ -102,8 +104,8 @@ export class Live {
         await pause(5, signal);
         continue;
       }
-      const { fields, rate, isWhole } = this._listener.wanted();
-      const seen = await this._newestFrames(camera, rate, isWhole);
+      const { fields, ...how } = this._listener.wanted();
+      const seen = await this._newestFrames(camera, how);
       if (!seen) {
         await pause(20, signal);
         continue;
@@ -120,13 +122,14 @@ export class Live {
   }
 
   /** @returns four frames that end with the newest, null while there are too few */
-  async _newestFrames(camera, rate, isWhole) {
+  async _newestFrames(camera, { rate, toldRates, isWhole }) {
     const footage = camera.backwards();
     const { width, height } = footage;
     const crop = isWhole ? { x: 0, y: 0, width, height } : centred(width, height);
     const frames = [];
     let spacingS = 0;
-    for await (const taken of framesOf(footage, { startS: 0, spacingS: 1 / rate, crop })) {
+    const wanted = { startS: 0, spacingS: 1 / rate, toldRates, crop };
+    for await (const taken of framesOf(footage, wanted)) {
       frames.unshift(taken.frame);
       spacingS = taken.spacingS;
       if (frames.length === SEEN) break;
@@ -149,6 +152,7 @@ export class Live {
         ellipse50Radii: done.ellipse50_radii,
         objects,
         done,
+        trained: trainedSteps(this._listener.entries(), done),
         newestMs,
         rate,
       },
@@ -165,7 +169,8 @@ export class Live {
       return "The forecasts arrive after their last step: choose a longer horizon.";
     }
     const rate = 1 / this._camera.intervalS;
-    return rate < SLOW * this._listener.wanted().rate
+    const { rate: wanted, toldRates } = this._listener.wanted();
+    return rate < Math.min(SLOW * wanted, toldRates?.[0] ?? Infinity)
       ? `The camera takes only ${Math.round(rate)} pictures a second; more light may help.`
       : "";
   }

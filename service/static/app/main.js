@@ -3,13 +3,15 @@
 import { health, LostService, models, ServiceProblem } from "./api.js";
 import { Bring } from "./bring.js";
 import { Chart } from "./chart.js";
-import { installControls, possible, showControls, showSimulation } from "./controls.js";
+import { installControls, possible, showControls, showRate, showSimulation } from "./controls.js";
 import { byId } from "./dom.js";
 import { signedSeconds } from "./figures.js";
 import { LazySurface } from "./lazy_surface.js";
 import { Live } from "./live.js";
-import { clearMessages, showError, showWait } from "./messages.js";
-import { AUTO, finalStepOf, forAnyNumber, leading, rateOf, readRectangles } from "./models.js";
+import { clearMessages, showError, showNotice, showWait } from "./messages.js";
+import {
+  AUTO, finalStepOf, forAnyNumber, leading, rateOf, readRectangles, toldRates,
+} from "./models.js";
 import { Picks } from "./picks.js";
 import { Player } from "./player.js";
 import { showFigures, showHealth, showLegend, showNotes } from "./readout.js";
@@ -22,6 +24,7 @@ import {
 import { installTheme } from "./theme.js";
 import { installTransport, showTransport } from "./transport.js";
 import { verdictOf } from "./verdict.js";
+import { Zoom } from "./zoom.js";
 
 const HEALTH_EVERY_MS = 5000;
 /** Choices that only change how things are drawn; all others ask the service anew. */
@@ -57,6 +60,8 @@ const session = new Session({
 const bring = new Bring({
   opened() {
     clearMessages();
+    showStage();
+    if (store.get().points) Object.assign(store.get(), { points: "" });
     suit(store.get());
     if (store.get().source === "footage") edit();
     else store.set({ source: "footage" });
@@ -77,22 +82,35 @@ const live = new Live({
     return {
       fields,
       rate: rateOf(entries, choices),
+      toldRates: toldRates(entries, choices),
       isWhole: readRectangles(entries, choices),
       ellipses: choices.ellipses,
     };
   },
+  entries: () => entries,
   changed: requestShow,
   clip: (file) => bring.open([file]),
 });
 
+const zoom = new Zoom({
+  isOn: () => session.take !== null && !editing && store.get().source !== "camera",
+  changed: requestShow,
+});
+
 const picks = new Picks({
-  isOpen: () => session.take !== null && !editing && forAnyNumber(entries, store.get()) !== null,
+  view: () => zoom.view,
+  panned: (across, down) => zoom.move(across, down),
+  refusal: () =>
+    forAnyNumber(entries, store.get()) === null
+      ? "Balls are selected for models that follow any number of them, and none is served here."
+      : null,
+  refused: showNotice,
   isLastSeen: () => player.index === LAST_SEEN && !player.playing,
   showLastSeen() {
     player.pause();
     player.seek(LAST_SEEN);
   },
-  size: () => session.take && { width: session.take.width, height: session.take.height },
+  size: () => !editing && session.take && { width: session.take.width, height: session.take.height },
   changed: (points) => store.set({ points: textOf(scaled(points, 1 / session.pointScale)) }),
   dragged: () => showMoment(player.index),
 });
@@ -106,7 +124,28 @@ function scaled(points, factor) {
   return points.map((pair) => pair.map((value) => value * factor));
 }
 
-/** Fields of /predict other than frames and model. */
+/** The frames that the points in the address were chosen in. */
+let pointed = null;
+/** Points of earlier frames of the same footage, in the pixels of another crop of it. */
+function pointsInFrames(choices) {
+  const before = pointed;
+  const { footage, wanted, width, height } = session.take;
+  pointed = { footage, crop: wanted.crop, width };
+  if (!choices.points || !before || before.footage !== footage) return choices.points;
+  const [from, to] = [before, pointed].map(({ crop, width: across }) => ({
+    ...crop,
+    scale: (crop.size ?? crop.width) / across,
+  }));
+  const points = pointsOf(choices)
+    .map(([x, y]) => [
+      (from.x + x * from.scale - to.x) / to.scale,
+      (from.y + y * from.scale - to.y) / to.scale,
+    ])
+    .filter(([x, y]) => x >= 0 && y >= 0 && x <= width && y <= height);
+  return textOf(points);
+}
+
+/** What /predict is asked besides frames and model. */
 function requestOf(choices) {
   const horizon = session.finalIndex === null ? choices.horizon : session.finalIndex - LAST_SEEN + 1;
   const points = framePoints(choices);
@@ -127,8 +166,11 @@ let interrupted = false;
 async function run() {
   const choices = store.get();
   const asked = JSON.stringify(choices);
-  if (choices.source === "camera") return;
-  if (running === asked || (choices.source === "footage" && !bring.footage)) return;
+  if (choices.source === "camera" || running === asked) return;
+  if (choices.source === "footage" && !bring.footage) {
+    showNotice("There is no footage yet: choose a video, or at least four images.");
+    return;
+  }
   running = asked;
   interrupted = false;
   byId("stage").dataset.state = "busy";
@@ -146,6 +188,8 @@ async function run() {
     } else {
       showBusy("Taking the frames out of your footage …");
       others = await session.footage(bring.footage, bring.wanted, session.finalIndex, signal);
+      choices.points = pointsInFrames(choices);
+      showControls(choices, entries, store);
     }
     leaveEditing();
     begin(choices, horizon);
@@ -175,7 +219,8 @@ async function run() {
   }
 }
 
-/** Set the clock to the beginning of new footage. */
+let shownTake = null;
+/** Set the clock to the beginning of what has just come. */
 function begin(choices, horizon) {
   picks.points = framePoints(choices); // the frames may have another size than those before
   player.last = horizon - 1 + LAST_SEEN;
@@ -183,6 +228,8 @@ function begin(choices, horizon) {
   player.framesPerSecond = session.take.rate;
   player.speed = choices.speed;
   session.forecasts = [];
+  if (session.take !== shownTake) zoom.reset();
+  shownTake = session.take;
   stage.showSeen(session.take, session.finalIndex);
   // Points are chosen on the last seen frame, which stays until all of them are.
   player.seek(choices.points ? LAST_SEEN : 0);
@@ -197,16 +244,12 @@ function suit(choices) {
   bring.offerWhole(readRectangles(entries, wish));
   return bring.suit({
     rate: rateOf(entries, wish),
+    toldRates: toldRates(entries, wish),
     crop: leading(entries, wish)?.setup?.crop ?? null,
   });
 }
 
 function edit() {
-  if (store.get().points) {
-    picks.points = [];
-    Object.assign(store.get(), { points: "" });
-    showControls(store.get(), entries, store);
-  }
   stop();
   editing = true;
   session.take = null;
@@ -219,7 +262,14 @@ function edit() {
   bring.edit();
 }
 
-/** End the current run. */
+/** Scroll to the picture where it is out of sight, as it is below the controls of a phone. */
+function showStage() {
+  const { top, bottom } = byId("screen").getBoundingClientRect();
+  const isBelow = bottom > innerHeight && top > innerHeight / 3;
+  if (isBelow || bottom < innerHeight / 3) byId("stage").scrollIntoView({ block: "start" });
+}
+
+/** End what is underway. */
 function stop() {
   session.begin();
   running = null;
@@ -273,6 +323,7 @@ function show() {
   byId("drop").classList.toggle("done", bring.footage !== null);
   if (take) {
     byId("stage-title").textContent = take.title;
+    showRate(take.rate);
   }
   byId("stage").dataset.state = running ? "busy" : forecasts.map(({ state }) => state).join(" ");
   showMoment(player.index);
@@ -285,7 +336,7 @@ function showMoment(index) {
     showFigures([], null, 0);
     return;
   }
-  stage.show(take, forecasts, { ...store.get(), points: textOf(picks.points) }, index);
+  stage.show(take, forecasts, { ...store.get(), points: textOf(picks.points) }, index, zoom.view);
   showFigures(forecasts, take.truth, index);
   const timeS = (index - LAST_SEEN) / take.rate;
   byId("badge").textContent =
@@ -383,6 +434,7 @@ byId("controls").addEventListener("submit", (event) => {
   const seed = byId("seed").value.trim();
   if (seed !== store.get().seed) store.set({ seed });
   else run();
+  showStage();
 });
 byId("recrop").addEventListener("click", edit);
 byId("surface-reset").addEventListener("click", () => surface.reset());
@@ -396,7 +448,7 @@ async function watch() {
   if (status !== "ready" && !session.take && !running) showBusy(WAITING[status] ?? WAITING.lost);
   if (status === "ready" && (was !== "ready" || !entries.length)) {
     try {
-      entries = await models();
+      session.entries = entries = await models();
       showSimulation(true);
       Object.assign(store.get(), possible(store.get(), entries));
       showControls(store.get(), entries, store);

@@ -48,6 +48,14 @@ export function showError(error, again) {
   }
 }
 
+/** Say why something that was pressed has no effect. */
+export function showNotice(text) {
+  const box = make("div", { class: "message waiting" }, make("p", {}, text));
+  const close = { type: "button", class: "quiet", onclick: () => box.remove() };
+  box.append(make("p", { class: "buttons" }, make("button", close, "Dismiss")));
+  byId("messages").replaceChildren(box);
+}
+
 /** Say that the service is asked again, and when. */
 export function showWait(error, seconds, attempt) {
   const { title, detail } = wordsFor(error);

@@ -2,6 +2,7 @@
 
 import { byId, make } from "./dom.js";
 import { MARKS } from "./palette.js";
+import { isAmong } from "./resample.js";
 import { FRAME_RATE_HZ, MOST_MODELS } from "./state.js";
 
 export const AUTO = "auto";
@@ -68,7 +69,31 @@ export function leading(entries, choices) {
   return general.find((entry) => !isForAny(entry)) ?? general[0] ?? found[0] ?? null;
 }
 
-/** Steps a second of forecasts. */
+/**
+ * Lowest and highest rate of frames that every chosen model is told, frames a second; null where one
+ * of them is not told the rate. "auto" takes a model that is told it for frames at another rate than
+ * the usual one.
+ */
+export function toldRates(entries, choices) {
+  if (choices.finalFrame) return null;
+  const found = fitting(entries, choices);
+  const told = choices.models.map((name) => {
+    const isIt = (entry) => (name === AUTO ? isForAny(entry) && entry.default : labelOf(entry) === name);
+    return found.find(isIt)?.frame_rates_hz ?? null;
+  });
+  if (told.includes(null)) return null;
+  return [Math.max(...told.map(([low]) => low)), Math.min(...told.map(([, high]) => high))];
+}
+
+/** Steps of a forecast up to which its model was trained; later ones are extrapolated. */
+export function trainedSteps(entries, { model, frame_rate: rate }) {
+  const entry = entries.find((one) => one.name === model.name && one.version === model.version);
+  const isTold = entry?.frame_rates_hz && isAmong(rate, entry.frame_rates_hz);
+  const spacing = isTold ? entry.frame_rate_hz / rate : 1;
+  return 1 + Math.floor((model.trained_horizon - 1) / spacing + 1e-9);
+}
+
+/** Frames a second that a model expects. */
 export function rateOf(entries, choices) {
   return leading(entries, choices)?.frame_rate_hz ?? FRAME_RATE_HZ;
 }

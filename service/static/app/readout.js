@@ -4,6 +4,7 @@ import { byId, make } from "./dom.js";
 import { curvesOf, mean } from "./figures.js";
 import { MARKS } from "./palette.js";
 import { LAST_SEEN } from "./state.js";
+import { scoresOf } from "./verdict.js";
 
 /** Who draws in which colour and with which mark. */
 export function showLegend(forecasts, hasTruth) {
@@ -61,13 +62,27 @@ function pixels(value) {
   return value === null || value === undefined ? "–" : `${value.toFixed(1)} px`;
 }
 
-/** Warnings of the responses, each once, and messages of the page. */
+/** The figures and warnings of the answers, each once, and what the page itself has to say. */
 export function showNotes(take, forecasts) {
   const said = forecasts.flatMap(({ label, done }) =>
     (done?.warnings ?? []).map((warning) => (forecasts.length > 1 ? `${label}: ${warning}` : warning)),
   );
-  const notes = [...new Set([...(take?.notes ?? []), ...said])];
+  const warnings = [...new Set([...(take?.notes ?? []), ...said, ...ballWarnings(forecasts)])];
+  const notes = [...warnings, ...scoresOf(forecasts)];
+  const count = warnings.length ? ` (${warnings.length})` : "";
+  byId("notes-title").textContent = `Warnings and figures${count}`;
+  byId("notes-panel").hidden = !notes.length;
+  const shown = [...byId("notes").children].map(({ textContent }) => textContent);
+  if (shown.join("\n") === notes.join("\n")) return;
   byId("notes").replaceChildren(...notes.map((note) => make("li", {}, note)));
+}
+
+function ballWarnings(forecasts) {
+  return forecasts.flatMap(({ done }) =>
+    (done?.objects ?? []).flatMap(({ id, warnings }) =>
+      (warnings ?? []).map((warning) => `Ball ${id + 1}: ${warning}`),
+    ),
+  );
 }
 
 export function showHealth(status) {

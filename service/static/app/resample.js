@@ -1,8 +1,9 @@
 /**
  * Frames at even times out of footage at any rate.
  *
- * As rollcast/video.py does it: a rate that is a multiple of the one asked for gives its own frames;
- * where the camera took none near a time, the shots before and after are faded into each other.
+ * As rollcast/footage.py does it: the camera's own frames are taken where their rate is a multiple of
+ * the one asked for, or one that the model is told; where the camera took none near a time, the shots
+ * before and after are faded into each other.
  */
 
 import { cut, FootageError } from "./footage.js";
@@ -13,27 +14,40 @@ const RATE_TOLERANCE = 0.05;
 const SNAP = 0.1;
 
 /**
- * The time between frames: a multiple of the camera's own where that comes near the one wanted.
+ * The time between frames: a multiple of the camera's own where that comes near the one wanted, or
+ * where the model is told the rate.
+ * @param {number} intervalS the camera's own
+ * @param {number} wantedS
+ * @param {[number, number] | null} told lowest and highest rate that the model is told
  */
-export function spacingOf(intervalS, wantedS) {
+export function spacingOf(intervalS, wantedS, told = null) {
   const multiple = Math.max(1, Math.round(wantedS / intervalS)) * intervalS;
-  return Math.abs(multiple / wantedS - 1) <= RATE_TOLERANCE ? multiple : wantedS;
+  const isNear = Math.abs(multiple / wantedS - 1) <= RATE_TOLERANCE;
+  return isNear || (told && isAmong(1 / multiple, told)) ? multiple : wantedS;
+}
+
+/** Whether a rate lies between two others, or is as good as one. */
+export function isAmong(rate, [low, high]) {
+  return low * (1 - RATE_TOLERANCE) <= rate && rate <= high * (1 + RATE_TOLERANCE);
 }
 
 /**
  * Yield frames from a start until the footage ends.
  * @param {import("./footage.js").ImageFootage | import("./footage.js").VideoFootage} footage
- * @param {{startS: number, spacingS: number, crop: object}} wanted crop as for `cut`
- * @returns {AsyncGenerator<{frame: HTMLCanvasElement, blendedOverS: number}>}
+ * @param {{startS: number, spacingS: number, toldRates?: [number, number] | null, crop: object}} wanted
+ *   crop as for `cut`, toldRates as for `spacingOf`
+ * @returns {AsyncGenerator<{frame: HTMLCanvasElement, blendedOverS: number, spacingS: number}>}
  */
-export async function* framesOf(footage, { startS, spacingS, crop }) {
+export async function* framesOf(footage, { startS, spacingS, toldRates = null, crop }) {
   const intervalS = await footage.intervalAt(startS);
-  const evenS = spacingOf(intervalS, spacingS);
+  const evenS = spacingOf(intervalS, spacingS, toldRates);
+  const isOwn = evenS !== spacingS || evenS === intervalS;
+  const snap = (isOwn && footage.snap) || SNAP;
   const shots = new Shots(footage, intervalS, crop);
   const first = await shots.nearest(startS);
   if (!first) throw new FootageError(`The footage ends before ${startS.toFixed(3)} s.`);
   for (let index = 0; ; index++) {
-    const frame = await shots.at(first.timeS + index * evenS, SNAP * evenS);
+    const frame = await shots.at(first.timeS + index * evenS, snap * evenS);
     if (!frame) return;
     yield { ...frame, spacingS: evenS };
   }

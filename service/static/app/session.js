@@ -2,6 +2,7 @@
 
 import { predictStream, ServiceProblem, simulate } from "./api.js";
 import { isSlowLink } from "./link.js";
+import { trainedSteps } from "./models.js";
 import { parametersOf } from "./scene_panel.js";
 import { framesOf } from "./resample.js";
 import { FootageError } from "./footage.js";
@@ -38,6 +39,10 @@ export class Session {
     this.take = null;
     this.forecasts = [];
     this.finalIndex = null;
+    /** Entries of GET /models. */
+    this.entries = [];
+    /** The take of footage that was made last. */
+    this._kept = null;
     this._ended = new AbortController();
   }
 
@@ -106,16 +111,47 @@ export class Session {
     };
   }
 
-  /** Take the frames that the models see out of footage; the others follow when there is time. */
+  /**
+   * Take the frames that the models see out of footage; the others follow when there is time. Those
+   * that were taken for the forecast before are not taken again.
+   */
   async footage(footage, wanted, finalIndex, signal) {
-    const source = framesOf(footage, wanted);
     const needed = finalIndex === null ? SEEN : finalIndex + 1;
+    const take = this._takeOf(footage, wanted);
+    const more = async () => {
+      const isMore = await take.more();
+      if (signal.aborted) throw new DOMException("", "AbortError");
+      return isMore;
+    };
+    while (take.frames.length < needed) {
+      if (!(await more())) throw new FootageError(tooShort(take, needed, wanted.startS));
+    }
+    for (const index of Array(needed).keys()) take.pngs[index] ??= pngOf(take.frames[index]);
+    take.sent = await Promise.all(take.pngs);
+    if (signal.aborted) throw new DOMException("", "AbortError");
+    take.isComplete = false;
+    this.take = take;
+    this.forecasts = [];
+    return async (last) => {
+      while (take.frames.length <= last && (await more())) this._listener.changed();
+      take.isComplete = true;
+    };
+  }
+
+  /** The take of some footage, which may have frames already. */
+  _takeOf(footage, wanted) {
+    const key = JSON.stringify([wanted, footage.rate ?? null]);
+    const kept = this._kept;
+    if (kept?.footage === footage && kept.key === key) return kept;
+    const source = framesOf(footage, wanted);
     const take = {
-      key: null,
+      key,
+      footage,
       kind: "footage",
       title: footage.name,
       file: `rollcast-${footage.name.replace(/\.[^.]*$/, "").replace(/[^\w-]+/g, "-")}`,
       frames: [],
+      pngs: [],
       truth: null,
       surface: null,
       wanted,
@@ -123,29 +159,24 @@ export class Session {
       isComplete: false,
     };
     let blendedS = 0;
-    const next = async () => {
-      const { value, done } = await source.next();
-      if (signal.aborted) throw new DOMException("", "AbortError");
+    take.more = async () => {
+      const { value, done } = await source.next().catch((error) => {
+        this._kept = null;
+        throw error;
+      });
       if (done) return false;
-      take.frames.push(value.frame);
-      take.rate = 1 / value.spacingS;
-      if (take.frames.length <= SEEN) blendedS = Math.max(blendedS, value.blendedOverS);
+      const { frame, spacingS, blendedOverS } = value;
+      take.frames.push(frame);
+      take.rate = 1 / spacingS;
+      take.width = frame.width;
+      take.height = frame.height;
+      take.frameSize = Math.max(frame.width, frame.height);
+      if (take.frames.length <= SEEN) blendedS = Math.max(blendedS, blendedOverS);
+      take.notes = footageNotes(blendedS);
       return true;
     };
-    while (take.frames.length < needed) {
-      if (!(await next())) throw new FootageError(tooShort(take, needed, wanted));
-    }
-    take.width = take.frames[0].width;
-    take.height = take.frames[0].height;
-    take.frameSize = Math.max(take.width, take.height);
-    take.notes = footageNotes(take.rate, wanted.knownRate, blendedS);
-    take.sent = await Promise.all(take.frames.map((frame) => pngOf(frame)));
-    this.take = take;
-    this.forecasts = [];
-    return async (last) => {
-      while (take.frames.length <= last && (await next())) this._listener.changed();
-      take.isComplete = true;
-    };
+    this._kept = take;
+    return take;
   }
 
   /** Ask every model, side by side, for a forecast that is drawn as it comes. */
@@ -192,7 +223,9 @@ export class Session {
         forecast.state = "streaming";
         append(forecast, step);
       }
-      if (done) finish(forecast, done, performance.now() - begun);
+      if (done) {
+        finish(forecast, done, trainedSteps(this.entries, done), performance.now() - begun);
+      }
       this._listener.changed();
     }
   }
@@ -249,11 +282,11 @@ function plural(name) {
   return name.endsWith("y") ? `${name.slice(0, -1)}ies` : `${name}s`;
 }
 
-function finish(forecast, done, allMs) {
+function finish(forecast, done, trained, allMs) {
   const { model } = done;
   const label = forecast.name === "auto" ? `auto: ${model.name}` : forecast.name;
-  const trainedS = model.trained_horizon / done.frame_rate;
-  Object.assign(forecast, { state: "done", done, allMs, label, trainedS });
+  Object.assign(forecast, { state: "done", done, allMs, label, trained });
+  forecast.trainedS = (trained - 1) / done.frame_rate;
 }
 
 async function bitmapOf(base64) {
@@ -277,28 +310,20 @@ export function pause(ms, signal) {
   });
 }
 
-function tooShort(take, needed, { startS, spacingS }) {
-  const milliseconds = Math.round(spacingS * 1000);
+function tooShort({ frames, rate }, needed, startS) {
   return (
-    `It has ${take.frames.length} frames, ${milliseconds} ms apart, from ${startS.toFixed(2)} s on; ` +
+    `It has ${frames.length} frames, ${Math.round(1000 / rate)} ms apart, from ${startS.toFixed(2)} s on; ` +
     `${needed} are needed. Start earlier, or bring a longer one.`
   );
 }
 
-function footageNotes(rate, knownRate, blendedS) {
-  const notes = [];
-  if (blendedS > 0) {
-    const apart = `${Math.round(blendedS * 1000)} ms apart`;
-    const long = blendedS > 0.05 ? ", which is long for a rolling ball" : "";
-    notes.push(
-      `The camera took no frames at these times: they are blended from those before and after, ${apart}${long}.`,
-    );
-  }
-  if (Math.abs(rate / knownRate - 1) > 0.05) {
-    const known = Number(knownRate.toFixed(2));
-    notes.push(`The models know ${known} frames a second; these are ${rate.toFixed(1)} a second.`);
-  }
-  return notes;
+function footageNotes(blendedS) {
+  if (!(blendedS > 0)) return [];
+  const apart = `${Math.round(blendedS * 1000)} ms apart`;
+  const long = blendedS > 0.05 ? ", which is long for a rolling ball" : "";
+  return [
+    `The camera took no frames at these times: they are blended from those before and after, ${apart}${long}.`,
+  ];
 }
 
 function titled(scenario) {

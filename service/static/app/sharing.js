@@ -1,11 +1,12 @@
 /** The card from which forecasts are taken away: files, and the call itself. */
 
-import { byId } from "./dom.js";
+import { byId, canvasOf } from "./dom.js";
 import { asGif, asJson, asPng, asWebm, canRecord, save } from "./export.js";
 import { showError } from "./messages.js";
 import { pngOf } from "./session.js";
 import { snippetsOf } from "./snippets.js";
 import { SEEN } from "./state.js";
+import { zipped } from "./zip.js";
 
 /** @param {() => any} now content of the page */
 export function installSharing(now) {
@@ -17,6 +18,7 @@ export function installSharing(now) {
     for (const button of buttons) button.disabled = busy || !ready;
     byId("copy").disabled = !ready;
     if (!canRecord()) byId("save-webm").disabled = true;
+    byId("webm-hint").hidden = canRecord();
   };
 
   /** Offer the result of a function as a download, with progress. */
@@ -48,7 +50,7 @@ export function installSharing(now) {
   offer("save-png", async (it) => save(await asPng(shownOf(it), it.index), nameOf(it, "png")));
   offer("save-gif", async (it, tell) => save(await asGif(shownOf(it), tell), nameOf(it, "gif")));
   offer("save-webm", async (it, tell) => save(await asWebm(shownOf(it), tell), nameOf(it, "webm")));
-  offer("save-frames", async ({ session }) => saveFrames(session));
+  offer("save-frames", async (it) => save(await framesOf(it.session), nameOf(it, "zip")));
 
   const snippet = () => {
     const it = now();
@@ -63,9 +65,17 @@ export function installSharing(now) {
     radio.addEventListener("change", showSnippet);
   }
   byId("copy").addEventListener("click", async () => {
-    byId("copied").textContent = (await copied(snippet()))
+    byId("copied").textContent = (await copied(snippet(), byId("snippet")))
       ? "Copied."
       : "This browser does not copy here: select the text.";
+  });
+  byId("copy-link").addEventListener("click", async () => {
+    const said = byId("link-copied");
+    said.textContent = location.href; // what is selected where the browser does not copy by itself
+    const isCopied = await copied(location.href, said);
+    const { source } = now().choices;
+    const without = source === "scene" ? "" : " It holds the choices; your pictures stay here.";
+    if (isCopied) said.textContent = `The link is copied.${without}`;
   });
 
   return {
@@ -79,24 +89,24 @@ export function installSharing(now) {
 }
 
 /** The clipboard of browsers is for safe addresses alone, which a service in one's own net has not. */
-async function copied(text) {
+async function copied(text, element) {
   try {
     await navigator.clipboard.writeText(text);
     return true;
   } catch {
-    getSelection().selectAllChildren(byId("snippet"));
+    getSelection().selectAllChildren(element);
     return document.execCommand("copy");
   }
 }
 
-async function saveFrames({ take, finalIndex }) {
+/** The frames that the model sees, as files that the calls below name. */
+async function framesOf({ take, finalIndex }) {
   const named = take.frames.slice(0, SEEN).map((frame, index) => [frame, `frame-${index}.png`]);
   if (finalIndex !== null) named.push([take.frames[finalIndex], "final.png"]);
-  for (const [frame, name] of named) {
-    const canvas = document.createElement("canvas");
-    canvas.width = take.width;
-    canvas.height = take.height;
+  const files = named.map(async ([frame, name]) => {
+    const canvas = canvasOf(take.width, take.height);
     canvas.getContext("2d").drawImage(frame, 0, 0);
-    save(await pngOf(canvas), name);
-  }
+    return [name, await pngOf(canvas)];
+  });
+  return zipped(await Promise.all(files));
 }

@@ -32,14 +32,14 @@ export class Stage {
     this._strip = byId("strip");
   }
 
-  /** Draw a moment. */
-  show(take, forecasts, choices, index) {
+  /** Draw a moment, or the part of it that a view shows. */
+  show(take, forecasts, choices, index, view) {
     const panels = panelsOf(take, forecasts, choices, index);
     const canvases = this._canvases(panels.length);
     for (const [number, panel] of panels.entries()) {
       const canvas = canvases[number];
       fit(canvas);
-      drawMoment(canvas.getContext("2d"), canvas.width, panel);
+      drawMoment(canvas.getContext("2d"), canvas.width, { ...panel, view });
       const whose = panel.forecasts.map((forecast) => forecast.label).join(", ");
       canvas.setAttribute(
         "aria-label",

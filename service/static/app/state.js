@@ -23,6 +23,8 @@ export const MOST_MODELS = 3;
 export const SEEN = 4;
 /** Largest number of balls that a model follows. */
 export const MOST_BALLS = 8;
+/** Largest number of balls of a simulated scene. */
+export const MOST_SIMULATED = 3;
 /** Frames that the models see; frame i shows step i - 3. */
 export const LAST_SEEN = SEEN - 1;
 
@@ -83,7 +85,7 @@ export function choicesFrom(fragment) {
   if (!["hemisphere", "ellipsoid", "heightfield", "table"].includes(choices.scenario)) {
     choices.scenario = DEFAULTS.scenario;
   }
-  choices.balls = Math.min(Math.max(Math.round(choices.balls) || 1, 1), 4);
+  choices.balls = Math.min(Math.max(Math.round(choices.balls) || 1, 1), MOST_SIMULATED);
   choices.points = textOf(pointsOf(choices));
   choices.scene = readScene(choices.scene);
   return choices;

@@ -13,9 +13,14 @@ export function isOutOfDistribution({ done }) {
   return (done?.warnings ?? []).some((warning) => warning.startsWith(OOD_WARNING));
 }
 
-/** Whether the path of a ball is drawn in grey. */
+/** Whether the path of a ball is drawn in grey, without ellipses. */
 export function isUncertain(forecast, index) {
   return isOutOfDistribution(forecast) || !isFound(forecast.done?.objects[index]);
+}
+
+/** First step of a forecast that is beyond its model's training. */
+export function firstUntrained({ trained }) {
+  return trained ?? Infinity;
 }
 
 function isFound(ball) {
@@ -34,14 +39,40 @@ export function verdictOf(forecasts) {
   return { text: whose + told.text, isWarning: told.isWarning };
 }
 
+/** The figures behind the sentences, a line for each forecast that has some. */
+export function scoresOf(forecasts) {
+  return forecasts.flatMap(({ done, label }) => {
+    const scores = (done?.objects ?? []).map(({ score }) => score ?? null);
+    if (!scores.length || scores.includes(null)) return [];
+    const all = scores.map((score) => score.toFixed(2)).join(", ");
+    return [`${label}: score ${all}; from ${SURE} on a ball counts as found.`];
+  });
+}
+
 function sentenceOf(forecast) {
-  const { done, label } = forecast;
-  const say = (text, isWarning) => ({ text, isWarning, label });
+  const { label } = forecast;
+  const { text, isWarning } = trustIn(forecast);
+  const beyond = beyondTraining(forecast);
+  const all = [text, beyond].filter((part) => part).join(" ");
+  return { text: all, isWarning: isWarning || beyond !== "", label };
+}
+
+/** That the horizon is beyond the training, if it is. */
+function beyondTraining(forecast) {
+  const { times } = forecast;
+  const first = firstUntrained(forecast);
+  if (first >= times.length) return "";
+  return `After ${times[first - 1].toFixed(2)} s the forecast goes beyond its training: the dashed path may be far off.`;
+}
+
+function trustIn(forecast) {
+  const { done } = forecast;
+  const say = (text, isWarning) => ({ text, isWarning });
   const lost = done.objects.filter((ball) => !isFound(ball));
   if (lost.length) {
-    const which = done.objects.length === 1 ? "the ball" : namesOf(lost);
-    const scores = lost.map(({ score }) => score.toFixed(2)).join(", ");
-    return say(`Uncertain detection of ${which} (score ${scores}): the grey path may be wrong.`, true);
+    const which = done.objects.length === 1 ? "The ball" : namesOf(lost);
+    const verb = lost.length === 1 ? "was" : "were";
+    return say(`${which} ${verb} not surely found: the grey path may be wrong.`, true);
   }
   if (isOutOfDistribution(forecast)) {
     return say("These frames look unlike the training data: the grey path may be far off.", true);
@@ -49,13 +80,18 @@ function sentenceOf(forecast) {
   const warned = done.objects.find(({ warnings }) => warnings?.length);
   if (warned) {
     const which = done.objects.length === 1 ? "" : `Ball ${warned.id + 1}: `;
-    return say(which + warned.warnings[0], true);
+    return say(which + plain(warned.warnings[0]), true);
   }
   if (done.warnings?.some((warning) => warning.startsWith(STILL))) return say(`${STILL}.`, true);
-  const scores = done.objects.map(({ score }) => score ?? null);
-  if (scores.includes(null)) return say("", false);
-  const found = scores.length === 1 ? "Ball found" : `${scores.length} balls found`;
-  return say(`${found} (score ${scores.map((score) => score.toFixed(2)).join(", ")}).`, false);
+  const { length } = done.objects;
+  if (done.objects.some(({ score }) => score === null || score === undefined)) return say("", false);
+  return say(length === 1 ? "Ball found." : `${length} balls found.`, false);
+}
+
+/** A warning up to its reason, which stands below the picture. */
+function plain(warning) {
+  if (warning.startsWith("The place of the ball")) return "The place of the ball is not exactly known.";
+  return warning.replace(/(: .*|\.)$/s, ".");
 }
 
 function namesOf(balls) {

@@ -51,6 +51,15 @@ def test_tracks_are_written_as_csv(clips, tmp_path, capsys):
     assert not (tmp_path / "videos").exists()
 
 
+def test_a_terminal_names_the_stage_of_how_many(clips, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes any stream for a terminal
+    assert main(["track", *map(str, clips), "--balls", "2", "--out", str(tmp_path)]) == 0
+    shown = capsys.readouterr().err
+    stages = ("tracking clip1", "drawing clip1", "tracking clip2", "drawing clip2")
+    for number, what in enumerate(stages, 1):
+        assert f"{number} of 4: {what}" in shown
+
+
 def test_clips_of_one_name_in_two_folders_are_kept_apart(clips, tmp_path, capsys):
     days = [tmp_path / "rig" / day for day in ("mon", "tue")]
     for day, clip in zip(days, clips, strict=True):

@@ -10,6 +10,7 @@ import time
 import pytest
 from typer.testing import CliRunner
 
+from training.__main__ import main
 from training.cli import application
 from training.cli.train import within
 from training.common.run_folder import CHECKPOINT
@@ -41,6 +42,33 @@ def test_help_names_every_command_and_nothing_of_libraries():
     assert {line.split()[0] for line in listed if re.match(r"  \S", line)} == COMMANDS
     assert ran.stdout.startswith("Usage: ")
     assert ran.stderr == ""
+
+
+def test_an_environment_without_torch_is_named_with_the_remedy(tmp_path):
+    (tmp_path / "torch.py").write_text("raise ModuleNotFoundError('no torch', name='torch')\n")
+    command = ["env", f"PYTHONPATH={tmp_path}", sys.executable, "-m", "training", "--help"]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 1
+    (line,) = ran.stderr.splitlines()
+    assert line.startswith("python -m training: ")
+    assert "has no torch, which training needs: run `make training`" in line
+
+
+def test_failures_are_one_line_without_a_traceback(runs, capsys):
+    assert main(["train", "nobody"]) == 2
+    line = capsys.readouterr().err.strip()
+    assert line.startswith("python -m training: ")
+    assert "'nobody' is not one of tiny" in line
+    assert len(line.splitlines()) == 1
+
+
+def test_a_folder_that_cannot_be_written_is_told_without_a_traceback(runs, capsys, monkeypatch):
+    monkeypatch.setenv("ROLLCAST_RUNS", "/dev/null/runs")
+    code = main(["simulate", "hemisphere", "--scenes", "1", "--split", "training"])
+    errors = capsys.readouterr().err.strip()
+    assert code == 1
+    assert errors.splitlines()[-1].startswith("python -m training: ")
+    assert "Traceback" not in errors
 
 
 def test_every_recipe_has_a_line_in_the_help_of_train():

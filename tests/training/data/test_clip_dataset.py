@@ -1,6 +1,7 @@
 """Clips with tracks as training data, on a small made-up copy of the folder."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -153,6 +154,9 @@ def test_recipes_clips_and_balls_have_to_fit(folder, recipe, named, balls, reaso
 
 
 def test_what_lies_wrong_in_a_folder_is_named(tmp_path):
+    with pytest.raises(FootageError, match=r"holds no tracks \(NAME.parquet or NAME.csv"):
+        load_clips(tmp_path)
+    (tmp_path / "notes.csv").write_text("day,weather\nmonday,rain\n")
     with pytest.raises(FootageError, match="holds no tracks"):
         load_clips(tmp_path)
     write_tracks(tmp_path / "alone.parquet", billiards(2, FRAMES, 0).positions_px)
@@ -161,3 +165,19 @@ def test_what_lies_wrong_in_a_folder_is_named(tmp_path):
     billiards(2, FRAMES - 1, 0).record(tmp_path / "alone.mp4")
     with pytest.raises(FootageError, match=r"has 59 frames, its tracks in .* reach to frame 59"):
         load_clips(tmp_path)
+
+
+def test_tracks_in_csv_files_are_those_in_parquet_files(folder, tmp_path):
+    expected = {split: [*clips] for split, clips in load_clips(folder).items()}
+    copy = tmp_path / "csv"
+    shutil.copytree(folder, copy)
+    for path in copy.rglob("*.parquet"):
+        Tracks.read(path).write(path.with_suffix(".csv"))
+        with pytest.raises(FootageError, match=r"tracks in \.parquet and in \.csv: remove one"):
+            load_clips(copy)
+        path.unlink()
+    for split, clips in load_clips(copy).items():
+        for clip, other in zip(clips, expected[split], strict=True):
+            assert clip.name == other.name
+            np.testing.assert_allclose(clip.positions, other.positions, atol=1e-9)
+            np.testing.assert_array_equal(clip.frames, other.frames)

@@ -95,7 +95,10 @@ def test_libraries_come_with_their_licences():
 def test_nothing_is_named_that_lies_elsewhere():
     for path in STATIC.rglob("*"):
         if path.suffix in {".js", ".css", ".html"} and "vendor" not in path.parts:
-            assert "://" not in path.read_text(), path
+            text = path.read_text()
+            if path.parent.name == "guide":  # whose prose names addresses
+                text = " ".join(re.findall(r'(?:src|href)="[^"]*"', text))
+            assert "://" not in text, path
 
 
 def test_texts_are_compressed_for_those_who_take_that(client):
