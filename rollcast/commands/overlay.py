@@ -31,7 +31,7 @@ def draw(
     slowdown: int,
     said: str,
 ) -> None:
-    """Write a picture or a video, depending on the file's suffix, and say what is going on."""
+    """Write a picture or a video, depending on the suffix of the file, and print the stages."""
     if path.suffix.lower() in VIDEOS:
         steps = len(observed.frames) - 1 + len(forecast.times_s)
         moments = counted(_moments(observed, later_frames, forecast), steps, said)

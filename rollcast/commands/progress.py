@@ -26,7 +26,7 @@ def counted(items: Iterable[T], total: int, what: str) -> Iterator[T]:
 
 
 def stage(number: int, count: int, what: str) -> str:
-    """Return the text of a stage: which one it is, of how many, and what it does."""
+    """Return the text of a stage: its number, the number of stages, and its name."""
     return f"{number} of {count}: {what}" if count > 1 else what
 
 
