@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 from pyarrow import csv, parquet
-from pydantic import BaseModel, ValidationError
+from pydantic import AliasChoices, BaseModel, Field, ValidationError
 
 from rollcast.errors import FootageError
 
@@ -38,7 +38,8 @@ class _ClipProperties(BaseModel):
 
     width: int
     height: int
-    colors: tuple[str, ...]
+    colors: tuple[str, ...] = Field(validation_alias=AliasChoices("colors", "colours"))
+    """Files of earlier versions have the second name."""
     source_sha256: str = ""
 
 
