@@ -517,7 +517,10 @@ def _turned(
     pixels: UInt8[np.ndarray, "height width 3"], picture: VideoFrame
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Turn and mirror a picture by its display matrix, to the nearest of the eight ways."""
-    matrix = picture.side_data.get("DISPLAYMATRIX")
+    try:
+        matrix = picture.side_data.get("DISPLAYMATRIX")
+    except ValueError:  # side data of a kind that PyAV does not know, such as EXIF
+        return np.rot90(pixels, round(picture.rotation / 90))
     if matrix is None:
         return pixels
     # A row vector (x, y, 1) of the stored picture times this is where players show it.

@@ -4,6 +4,7 @@ A white square of SQUARE pixels moves right by STEP pixels a frame over black, s
 its number by where the square is.
 """
 
+import io
 import os
 import struct
 from fractions import Fraction
@@ -93,6 +94,34 @@ def test_an_elementary_stream_needs_its_rate(tmp_path, codec, kind):
 
 def test_slow_motion_has_the_cameras_times(tmp_path):
     assert_whole(open_clip(write(tmp_path / "clip.mp4"), rate=120), rate=120)
+
+
+def exif_jpeg(pixels, orientation):
+    exif = Image.Exif()
+    exif[0x0112], exif[0x010F] = orientation, "Camera"
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "JPEG", exif=exif, quality=95)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, 3), (8, 1)])
+@pytest.mark.parametrize("kind", ["mjpeg", "avi", "mov", "matroska"])
+def test_motion_jpeg_with_exif_is_read_and_turned(tmp_path, kind, orientation, turns):
+    path = tmp_path / "clip"
+    stored = np.rot90(picture(2), -turns)  # what the camera's sensor saw
+    with av.open(path, "w", format=kind) as container:
+        stream = container.add_stream("mjpeg", rate=40)
+        stream.width, stream.height, stream.pix_fmt = SIDE, SIDE, "yuvj420p"
+        for number in range(8):
+            packet = av.Packet(exif_jpeg(stored, orientation))
+            packet.pts = packet.dts = number
+            packet.time_base, packet.stream = Fraction(1, 40), stream
+            packet.is_keyframe = True
+            container.mux(packet)
+    shown = [frame.load() for frame in VideoFile(path, camera_hz=40).frames()]
+    assert len(shown) == 8
+    for frame in shown:
+        assert np.abs(frame.astype(int) - picture(2)).max() < 60
 
 
 def test_a_thumbnail_is_not_the_video(tmp_path):
