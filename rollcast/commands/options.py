@@ -81,9 +81,7 @@ def positive_rate(text: str) -> float:
     """Parse a number of frames or steps a second."""
     is_number = re.fullmatch(r"[0-9]+(\.[0-9]*)?|\.[0-9]+", text)
     if not is_number or not MIN_RATE_HZ <= float(text) <= MAX_RATE_HZ:
-        raise typer.BadParameter(
-            f"{text} is not a rate in Hz, {MIN_RATE_HZ:g} to {MAX_RATE_HZ}"
-        )
+        raise typer.BadParameter(f"{text} is not a rate in Hz, {MIN_RATE_HZ:g} to {MAX_RATE_HZ}")
     return float(text)
 
 

@@ -228,7 +228,9 @@ class Renderer:
         light = self._light_on(points, normals)
         if isinstance(self._surface, Heightfield):
             lamp = light - AMBIENT_ON_HEIGHTFIELD
-            light = AMBIENT_ON_HEIGHTFIELD + lamp * self._terrain_visibility(points, lowest, highest)
+            light = AMBIENT_ON_HEIGHTFIELD + lamp * self._terrain_visibility(
+                points, lowest, highest
+            )
         return np.where(np.isnan(z)[..., None], BEYOND_COLOR, colors * light[..., None])
 
     def _light_on(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -243,9 +245,7 @@ class Renderer:
         downwards = towards[..., 2] / np.sqrt(squared)
         return AMBIENT_ON_HEIGHTFIELD + _LIGHT_POWER * facing * downwards / squared
 
-    def _terrain_visibility(
-        self, points: np.ndarray, lowest: float, highest: float
-    ) -> np.ndarray:
+    def _terrain_visibility(self, points: np.ndarray, lowest: float, highest: float) -> np.ndarray:
         """Share of the area light that points of the ground see past the ground itself.
 
         Rays are followed until they are above every hill, on every second point of the supersampled

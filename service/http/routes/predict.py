@@ -120,7 +120,7 @@ async def _lines(
             yield _event(event)
     except ClientGoneError:
         pass
-    except Exception as error:  # noqa: BLE001 - the status is sent: nothing else can tell of it
+    except Exception as error:
         if not isinstance(error, ServiceError):
             log.error("a stream failed", exc_info=error)
         yield format_sse_event(event="error", data_str=document(error))
