@@ -323,6 +323,37 @@ def test_numbers_that_count_no_images_leave_no_gaps(tmp_path, names):
     assert clip.warnings == []
 
 
+@pytest.mark.parametrize(
+    ("pattern", "others"),
+    [("f{:04}.png", ["calibration.png"]), ("f{:04}.png", ["f3_copy.png", "zz.png"]),
+     ("t{:04}_{:04}.png", []), ("12-00-{:02}_{:04}.png", ["first.png"])],
+)  # fmt: skip
+def test_a_gap_is_seen_beside_other_names_and_numbers(tmp_path, pattern, others):
+    kept = [0, 1, 2, 5, 6, 7, 8]
+    folder = tmp_path / "a"
+    for number in kept:
+        save(folder, [pattern.format(*([7 * number, number] if "_" in pattern else [number]))])
+    save(folder, others)
+    clip = ImageSequence.from_folder(folder, 40)
+    of_pattern = [
+        number
+        for number, path in zip(clip.numbers, image_files(folder), strict=True)
+        if path.name not in others
+    ]
+    assert np.diff(of_pattern).tolist().count(1) >= 4
+    assert np.diff(of_pattern).max() == 3
+    assert any("2 images are missing" in warning for warning in clip.warnings)
+    assert all(any(name in warning for warning in clip.warnings) for name in others)
+
+
+def test_uneven_numbers_without_a_rule_are_told(tmp_path):
+    names = ["33.png", "66.png", "100.png", "200.png", "233.png"]
+    clip = ImageSequence.from_folder(save(tmp_path / "a", names), 40)
+    assert clip.numbers == list(range(5))
+    [warning] = clip.warnings
+    assert "33 to 100 apart" in warning
+
+
 def test_images_named_out_of_order_are_told(tmp_path):
     folder = save(tmp_path / "a", ["frame1.png", "frame10.png", "frame2.png", "frame3.png"])
     clip = open_clip(sorted(folder.iterdir()))
