@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,8 +34,6 @@ MAX_NAME = 255
 """Characters of the longest file name that is looked at."""
 GAPS_NAMED = 3
 """Gaps that a warning names; of more it gives the number."""
-UNEVEN = 1.1
-"""Ratio of the longest to the shortest step between times that cameras round."""
 
 
 class _Page(NamedTuple):
@@ -250,7 +249,7 @@ def _numbering(paths: Sequence[Path], gap: str) -> tuple[list[int] | None, list[
             f"{_named(outside)} {'does' if len(outside) == 1 else 'do'} not fit the numbering of "
             "the other images, but count as frames: leave out what is none"
         )
-    ascending = [column for column in columns if (np.diff(column) > 0).all()]
+    ascending = [column for column in columns if min(_steps(column)) > 0]
     if not ascending:
         if len(columns) == 1:
             warnings.append(
@@ -260,16 +259,16 @@ def _numbering(paths: Sequence[Path], gap: str) -> tuple[list[int] | None, list[
         return None, warnings
     regular = [(step, column) for column in ascending if (step := _step(column)) is not None]
     if not regular:
-        steps = np.diff(ascending[-1])
-        if steps.max() > UNEVEN * steps.min():
+        steps = _steps(ascending[-1])
+        if 10 * max(steps) > 11 * min(steps):  # whole numbers of any size
             warnings.append(
-                f"the numbers of the images are {steps.min()} to {steps.max()} apart: "
+                f"the numbers of the images are {min(steps)} to {max(steps)} apart: "
                 "the frames are taken as evenly spaced, in which some may be missing"
             )
         return None, warnings
     step, counted = min(regular, key=lambda found: found[0])
     numbers = [(number - counted[0]) // step for number in counted]
-    gaps = [index for index, apart in enumerate(np.diff(counted)) if apart > step]
+    gaps = [index for index, apart in enumerate(_steps(counted)) if apart > step]
     if gaps:
         warnings.append(f"{_gaps([paths[index] for index in within], numbers, gaps)}: {gap}")
     elif len(within) == len(paths):
@@ -282,6 +281,8 @@ def _counters(paths: Sequence[Path]) -> tuple[list[int], list[list[int]]]:
 
     They are more than half of the names; each list holds the numbers of one place in them.
     """
+    if len(paths) < 2:
+        return [], []
     names = [_parts(path.stem) for path in paths]
     text, often = Counter(tuple(parts[::2]) for parts in names).most_common(1)[0]
     if often < 2 or 2 * often <= len(names):
@@ -291,11 +292,15 @@ def _counters(paths: Sequence[Path]) -> tuple[list[int], list[list[int]]]:
     return within, [list(column) for column in columns if len({*column}) > 1]
 
 
+def _steps(numbers: Sequence[int]) -> list[int]:
+    return [after - before for before, after in pairwise(numbers)]
+
+
 def _step(numbers: Sequence[int]) -> int | None:
     """Return the step of numbers that count images; None where they may be times."""
-    steps = np.diff(numbers)
-    step, often = Counter(steps.tolist()).most_common(1)[0]
-    is_regular = step == steps.min() and 2 * often > len(steps) and not (steps % step).any()
+    steps = _steps(numbers)
+    step, often = Counter(steps).most_common(1)[0]
+    is_regular = step == min(steps) and 2 * often > len(steps) and not any(s % step for s in steps)
     return step if is_regular else None
 
 

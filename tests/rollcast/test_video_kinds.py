@@ -17,7 +17,7 @@ from PIL import Image
 from rollcast.clip import open_clip
 from rollcast.errors import FootageError
 from rollcast.footage import read_evenly
-from rollcast.image_sequence import ImageSequence, image_files
+from rollcast.image_sequence import ImageSequence, image_files, numbering_warnings
 from rollcast.video import VideoFile, read_frames
 
 SIDE, SQUARE, STEP, ROW = 128, 16, 4, 24
@@ -374,3 +374,10 @@ def test_the_pages_of_a_tiff_file_are_frames(tmp_path):
     first, *rest = [Image.fromarray(picture(number)) for number in range(FRAMES)]
     first.save(tmp_path / "stack.tif", save_all=True, append_images=rest)
     assert_whole(open_clip(tmp_path / "stack.tif", rate=120), rate=120)
+
+
+def test_names_with_enormous_numbers_are_compared_as_whole_numbers():
+    names = [f"{2**63 + step}.png" for step in (0, 1, 4)] + [f"{10**200}.png"]
+    assert "apart" in numbering_warnings(names)[0]
+    assert "order of their numbers" in numbering_warnings([f"{2**63}.png", "5.png"])[0]
+    assert numbering_warnings([]) == numbering_warnings(["a.png"]) == []
