@@ -1,5 +1,6 @@
 """Footage of any kind becomes a source of frames: the content decides, not the name."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def open_clip(
         if len(path) > 1:
             return ImageSequence.from_files(path, rate or default_rate, "the images")
         path = path[0]
-    if path.is_dir():
+    if os.path.isdir(path):  # noqa: PTH112 - unlike Path's, False for names that are too long
         return ImageSequence.from_folder(path, rate or default_rate)
     if is_tiff(path):
         return ImageSequence.from_stack(path, rate or default_rate)

@@ -224,11 +224,14 @@ def require_regular_file(path: Path | str) -> None:
     Raises
     ------
     FootageError
-        If the path is a pipe, a device or a socket.
+        If the path is a pipe, a device or a socket, or contains a null character.
     OSError
         If the path does not exist.
     """
-    mode = Path(path).stat().st_mode
+    try:
+        mode = Path(path).stat().st_mode
+    except ValueError as error:
+        raise FootageError(f"{str(path)!r} is no path: {error}") from error
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
         kind = "a pipe" if stat.S_ISFIFO(mode) else "a device or a socket"
         raise FootageError(

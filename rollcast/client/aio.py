@@ -98,6 +98,7 @@ class AsyncClient:
         step_rate: float | None = None,
         crop: Crop | None = None,
         start_s: float | None = None,
+        camera_hz: float | None = None,
     ) -> Forecast:
         """Forecast the paths of the balls.
 
@@ -105,9 +106,9 @@ class AsyncClient:
         ----------
         frames
             The four observed frames in order, each a ``Frame``. They are sent as they are; models
-            for a fixed number of balls read square ones (``crop``). Or the path of a video, of
-            which the four frames from ``start_s`` on are read at the model's frame rate (extra
-            ``video``).
+            for a fixed number of balls read square ones (``crop``). Or the path of a video
+            (extra ``video``), a folder of images or a TIFF file, of which the four frames from
+            ``start_s`` on are read at the model's frame rate.
         horizon
             Steps; by default 40, with a final frame as many as its model is made for.
         model
@@ -136,6 +137,9 @@ class AsyncClient:
             model was trained on, if it has one.
         start_s
             Time of the first frame in the video, seconds; by default 0.
+        camera_hz
+            Frames a second that the camera took, where the video does not tell or is slow motion,
+            or of a folder of images.
 
         Raises
         ------
@@ -156,6 +160,7 @@ class AsyncClient:
             step_rate=step_rate,
             crop=crop,
             start_s=start_s,
+            camera_hz=camera_hz,
         )
         return await self._run(await self._forecast(calls.predict, frames, final_frame, options))
 

@@ -100,6 +100,7 @@ class Client:
         step_rate: float | None = None,
         crop: Crop | None = None,
         start_s: float | None = None,
+        camera_hz: float | None = None,
     ) -> Forecast:
         """Forecast the paths of the balls.
 
@@ -107,9 +108,9 @@ class Client:
         ----------
         frames
             The four observed frames in order, each a ``Frame``. They are sent as they are; models
-            for a fixed number of balls read square ones (``crop``). Or the path of a video, of
-            which the four frames from ``start_s`` on are read at the model's frame rate (extra
-            ``video``).
+            for a fixed number of balls read square ones (``crop``). Or the path of a video
+            (extra ``video``), a folder of images or a TIFF file, of which the four frames from
+            ``start_s`` on are read at the model's frame rate.
         horizon
             Steps; by default 40, with a final frame as many as its model is made for.
         model
@@ -138,6 +139,9 @@ class Client:
             model was trained on, if it has one.
         start_s
             Time of the first frame in the video, seconds; by default 0.
+        camera_hz
+            Frames a second that the camera took, where the video does not tell or is slow motion,
+            or of a folder of images.
 
         Raises
         ------
@@ -158,6 +162,7 @@ class Client:
             step_rate=step_rate,
             crop=crop,
             start_s=start_s,
+            camera_hz=camera_hz,
         )
         return self._run(self._forecast(calls.predict, frames, final_frame, options))
 

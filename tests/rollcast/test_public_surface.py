@@ -120,6 +120,7 @@ class AsyncClient(
         step_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
         start_s: float | None = None,
+        camera_hz: float | None = None,
     ) -> rollcast.client.results.Forecast
     async def predict_many(
         self,
@@ -255,6 +256,7 @@ class Client(
         step_rate: float | None = None,
         crop: Optional[Literal['square']] = None,
         start_s: float | None = None,
+        camera_hz: float | None = None,
     ) -> rollcast.client.results.Forecast
     def predict_many(
         self,
