@@ -13,6 +13,7 @@ from pyarrow import csv, parquet
 from pydantic import AliasChoices, BaseModel, Field, ValidationError
 
 from rollcast.errors import FootageError
+from rollcast.frames import require_regular_file
 
 ABOUT = b"rollcast"
 """Key of the file metadata with the properties of the clip, as JSON."""
@@ -137,6 +138,7 @@ class Tracks:
             When the file cannot be read or holds no such table.
         """
         try:
+            require_regular_file(path)
             with path.open("rb") as file:
                 table = _read_csv(file) if path.suffix.lower() == CSV else parquet.read_table(file)
         except (OSError, ValueError, pa.ArrowException) as error:

@@ -11,6 +11,7 @@ Clips that it does not name are for training; without it, clips are split by the
 """
 
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -39,6 +40,7 @@ from training.data.splits import Split
 from training.data.windows import Batch, SceneTargets, Symmetry, Window, collate
 
 SETUP_FILE = "setup.json"
+PARQUET = ".parquet"
 READER = 2
 """Version of how clips are read; frames that an older one kept are read again."""
 UNSEEN: Mapping[Split, float] = {"validation": 0.15, "test": 0.15}
@@ -230,8 +232,9 @@ def _tracked(folder: Path) -> dict[str, Path]:
     """Return the tracks in a folder by the names of their clips, which are all different."""
     found = [
         path
-        for path in sorted(folder.rglob("*.parquet"))
-        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
+        for path in sorted(folder.rglob("*"))
+        if path.suffix.lower() == PARQUET
+        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
     ]
     often = Counter(path.stem for path in found)
     return {
@@ -267,7 +270,7 @@ def _splits(names: Sequence[str], setup: Setup) -> dict[Split, list[str]]:
         return {"training": [name for name in names if name not in taken], **named}
     unseen = {split: max(1, round(share * len(names))) for split, share in UNSEEN.items()}
     # By a hash, so that a clip more leaves the others nearly as they were.
-    mixed = sorted(names, key=lambda name: hashlib.sha256(name.encode()).digest())
+    mixed = sorted(names, key=lambda name: hashlib.sha256(os.fsencode(name)).digest())
     first, second = unseen["validation"], unseen["validation"] + unseen["test"]
     if len(names) <= second:
         raise FootageError(
@@ -317,7 +320,7 @@ def _source(tracks: Path, size: tuple[int, int]) -> Path:
     size of the tracked pictures.
     """
     folder = tracks.with_suffix("")
-    if folder.is_dir():
+    if folder.is_dir() and image_files(folder):
         return folder
     beside = [
         path
