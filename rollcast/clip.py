@@ -4,10 +4,11 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from rollcast.errors import MissingExtraError
+from rollcast.errors import FootageError, MissingExtraError
 from rollcast.footage import FrameSource
-from rollcast.image_sequence import ImageSequence, is_tiff
-from rollcast.trajectory import FRAME_RATE_HZ
+from rollcast.frames import shown_path
+from rollcast.image_sequence import ImageSequence, is_single_picture, is_tiff
+from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 
 
 def open_clip(
@@ -39,6 +40,11 @@ def open_clip(
         return ImageSequence.from_folder(path, rate or default_rate)
     if is_tiff(path):
         return ImageSequence.from_stack(path, rate or default_rate)
+    if is_single_picture(path):
+        raise FootageError(
+            f"{shown_path(path)} is one picture, expected a video, a folder of images or at least "
+            f"{OBSERVED_FRAMES} images"
+        )
     try:
         from rollcast.video import VideoFile
     except ModuleNotFoundError as error:

@@ -76,6 +76,8 @@ END_OF_IMAGE = b"\xff\xd9"
 FILLINGS = (b"", b"\x55" * 4096, b"\xaa" * 4096)
 """Substitutes for the missing end of a JPEG file; pixels before the end do not depend on it."""
 HEIC_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+MAX_PIXELS = 64 * 10**6
+"""Pixels of the largest picture that is read; four of them take a gigabyte."""
 FLOAT_SLACK = 1e-3
 """Distance from 0 to 1 by which rounding may carry a float."""
 
@@ -269,6 +271,11 @@ def _from_bytes(data: bytes, name: str) -> UInt8[np.ndarray, "H W 3"]:
 
 
 def _pixels(image: Image.Image, name: str) -> UInt8[np.ndarray, "H W 3"]:
+    if image.width * image.height > MAX_PIXELS:
+        raise FrameError(
+            f"{name} has {image.width} x {image.height} pixels, expected at most "
+            f"{MAX_PIXELS // 10**6} million: scale it down"
+        )
     try:
         image.load()
     except DECODER_ERRORS as error:

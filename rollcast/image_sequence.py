@@ -189,6 +189,22 @@ def is_tiff(path: Path) -> bool:
     return _head(path)[:4] in TIFF_HEADS
 
 
+def is_single_picture(path: Path) -> bool:
+    """Return whether a file is one picture, by its name and its content.
+
+    A camera's stream of JPEG files begins like one, and animations are videos.
+    """
+    if is_heic(_head(path)):
+        return True
+    if not is_image_name(path.name):
+        return False
+    try:
+        with open_image(path) as image:
+            return image.format == "MPO" or getattr(image, "n_frames", 1) == 1
+    except DECODER_ERRORS:
+        return False
+
+
 def _head(path: Path) -> bytes:
     try:
         require_regular_file(path)

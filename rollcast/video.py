@@ -8,7 +8,7 @@ by BT.601 without a tag.
 import math
 import time
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import chain, count, islice, pairwise
@@ -35,13 +35,15 @@ from rollcast.footage import (
     read_evenly,
     usual_distance,
 )
-from rollcast.frames import require_regular_file, shown_path
+from rollcast.frames import as_frame, require_regular_file, shown_path
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 
 PROBED_FRAMES = 24
 """Number of first frames that are used to check a file's times."""
 NO_TIMESTAMPS = 0x80
 """FFmpeg's flag (AVFMT_NOTIMESTAMPS) of elementary streams: they hold pictures and no times."""
+PIPES = "_pipe"
+"""End of the names of FFmpeg's formats of joined image files, which hold no times."""
 UNTIMED = "mpjpeg"
 """FFmpeg's format of cameras that send JPEG files over HTTP; it assumes 25 a second."""
 DISCONTINUOUS = 0x200
@@ -51,7 +53,15 @@ PLACES_NAMED = 3
 PLACES_KEPT = 1000
 JUMP_BACK = 4
 """Frames by which times jump back where they begin anew; smaller steps are wrong single times."""
-COLORSPACES = {1: "ITU709", 4: "FCC", 7: "SMPTE240M"}
+BT2020 = 9
+"""Number of FFmpeg's conversion, for which older versions of PyAV have no name."""
+COLORSPACES: Mapping[int, str | int] = {
+    1: "ITU709",
+    4: "FCC",
+    7: "SMPTE240M",
+    9: BT2020,
+    10: BT2020,
+}
 """Conversions by a file's tag (AVColorSpace); all other ones are BT.601's."""
 UNTAGGED, FULL_RANGE = 0, 2
 """Tags (AVColorRange): unspecified, and full range (0 to 255)."""
@@ -538,7 +548,8 @@ def _is_reordered(container: InputContainer, stream: VideoStream) -> bool:
 
 def _has_times(container: InputContainer) -> bool:
     """Return whether the container tells when frames were taken."""
-    return not container.format.flags & NO_TIMESTAMPS and container.format.name != UNTIMED
+    name = container.format.name
+    return not (container.format.flags & NO_TIMESTAMPS or name == UNTIMED or name.endswith(PIPES))
 
 
 def _listed(places: Iterable[str]) -> str:
@@ -608,11 +619,12 @@ def _pulled(graph: Graph, times_s: deque[float]) -> Iterator[_Timed]:
 def _pixels(shown: _Shown, name: str) -> UInt8[np.ndarray, "height width 3"]:
     """Picture with square pixels, turned as players show it."""
     picture = shown.picture
+    has_alpha = any(component.is_alpha for component in picture.format.components)
     try:
         # Explicit, because versions of PyAV have different defaults.
         rgb = picture.reformat(
             width=round(picture.width * shown.pixel_aspect),
-            format="rgb24",
+            format="rgba" if has_alpha else "rgb24",
             src_colorspace=COLORSPACES.get(picture.colorspace, "ITU601"),
             dst_colorspace="ITU601",
             src_color_range="JPEG" if _is_full_range(picture) else "MPEG",
@@ -623,7 +635,8 @@ def _pixels(shown: _Shown, name: str) -> UInt8[np.ndarray, "height width 3"]:
             f"{name}: the frame at {shown.time_s:.3f} s ({picture.format.name}) cannot be "
             f"converted to RGB: {error}"
         ) from error
-    return _turned(np.asarray(rgb, np.uint8), picture)
+    pixels = np.asarray(rgb, np.uint8)
+    return _turned(as_frame(pixels) if has_alpha else pixels, picture)
 
 
 def _refuse(message: str) -> UInt8[np.ndarray, "height width 3"]:

@@ -10,6 +10,7 @@ import typer
 
 from rollcast.client import Client
 from rollcast.client.settings import DEFAULT_URL, URL_VARIABLE
+from rollcast.errors import InvalidArgumentError
 from rollcast.footage import SquareCrop
 from rollcast.schemas import MAX_RATE_HZ, MIN_RATE_HZ, BallPrompt
 from rollcast.trajectory import FRAME_RATE_HZ
@@ -51,6 +52,8 @@ def client(context: typer.Context, url: str | None) -> Client:
     connect: Connect = context.obj
     try:
         return connect(url)
+    except InvalidArgumentError:  # of an argument or a variable, which it names
+        raise
     except (ImportError, OSError, ValueError) as error:
         raise CommandError(
             f"no connection can be made ({error}): check the environment's proxies (ALL_PROXY, "

@@ -17,6 +17,7 @@ from PIL import Image
 from rollcast.clip import open_clip
 from rollcast.errors import FootageError
 from rollcast.footage import read_evenly
+from rollcast.frames import as_frame
 from rollcast.image_sequence import ImageSequence, image_files, numbering_warnings
 from rollcast.video import VideoFile, read_frames
 
@@ -215,7 +216,9 @@ def test_pictures_are_turned_and_mirrored_as_their_display_matrix_says(
     assert corner(1, -1) < 16 > corner(1, 1)
 
 
-@pytest.mark.parametrize(("tag", "space"), [(1, "ITU709"), (5, "ITU601"), (6, "ITU601")])
+@pytest.mark.parametrize(
+    ("tag", "space"), [(1, "ITU709"), (5, "ITU601"), (6, "ITU601"), (9, 9), (10, 9)]
+)
 def test_colors_are_those_of_the_files_tag(tmp_path, tag, space):
     color = np.array([200, 60, 30], np.uint8)
     path = tmp_path / "clip.mp4"
@@ -381,3 +384,40 @@ def test_names_with_enormous_numbers_are_compared_as_whole_numbers():
     assert "apart" in numbering_warnings(names)[0]
     assert "order of their numbers" in numbering_warnings([f"{2**63}.png", "5.png"])[0]
     assert numbering_warnings([]) == numbering_warnings(["a.png"]) == []
+
+
+@pytest.mark.parametrize(("name", "kind"), [("one.png", "PNG"), ("one.jpg", "JPEG")])
+def test_one_picture_is_no_clip(tmp_path, name, kind):
+    Image.fromarray(picture(0)).save(tmp_path / name, kind)
+    with pytest.raises(FootageError, match=r"is one picture, expected a video, a folder"):
+        open_clip(tmp_path / name)
+    (tmp_path / "one.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(99))
+    with pytest.raises(FootageError, match=r"is one picture, expected a video, a folder"):
+        open_clip(tmp_path / "one.heic")
+
+
+def test_joined_image_files_need_a_rate(tmp_path):
+    for number in range(FRAMES):
+        Image.fromarray(picture(number)).save(tmp_path / f"{number}.png")
+    joined = tmp_path / "clip.bin"
+    joined.write_bytes(b"".join((tmp_path / f"{n}.png").read_bytes() for n in range(FRAMES)))
+    with pytest.raises(FootageError, match=r"holds no times.*--rate in the shell"):
+        open_clip(joined)
+    assert_whole(open_clip(joined, rate=40))
+
+
+def test_transparent_video_is_on_white_as_pictures_are(tmp_path):
+    path = tmp_path / "clip.mov"
+    with av.open(path, "w") as container:
+        stream = container.add_stream("qtrle", rate=40)
+        stream.width, stream.height, stream.pix_fmt = SIDE, SIDE, "argb"
+        for number in range(8):
+            rgba = np.dstack([picture(number), np.where(picture(number)[..., 0] > 0, 255, 0)])
+            made = av.VideoFrame.from_ndarray(rgba.astype(np.uint8), format="rgba")
+            made.pts, made.time_base = number, Fraction(1, 40)
+            container.mux(stream.encode(made.reformat(format="argb")))
+        container.mux(stream.encode())
+    shown = next(VideoFile(path).frames()).load()
+    Image.fromarray(rgba.astype(np.uint8)).save(tmp_path / "frame.png")
+    assert (shown == 255).all(), "white on white"
+    assert (as_frame(tmp_path / "frame.png") == 255).all()
