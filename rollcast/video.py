@@ -268,7 +268,7 @@ class _Decoder:
     def _shown(
         self, pictures: Iterable[VideoFrame], stream: VideoStream, stamps: deque[int]
     ) -> Iterator[_Shown]:
-        """Give decoded pictures ascending times; those that jump back go on evenly."""
+        """Yield decoded pictures at ascending times; a jump back continues evenly."""
         # Zero or nothing means that the file does not tell.
         aspect = float(stream.sample_aspect_ratio or 1)
         last_s, interval_s, ahead_s = -math.inf, math.inf, 0.0
