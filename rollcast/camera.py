@@ -52,11 +52,11 @@ class Camera:
             [plane[..., 0] - self.half_width_m, self.half_width_m - plane[..., 1]], axis=-1
         )
 
-    def pixel_centres_m(self) -> tuple[np.ndarray, np.ndarray]:
-        """World x and y of every pixel centre, two arrays of shape [image_size, image_size]."""
+    def pixel_centres_m(self, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+        """World x and y of the pixel centres of some rows, two arrays [rows, image_size]."""
         centres = np.arange(self.image_size) + 0.5
-        columns, rows = np.meshgrid(centres, centres)
-        plane = self.unproject(np.stack([columns, rows], axis=-1))
+        across, down = np.meshgrid(centres, centres[rows])
+        plane = self.unproject(np.stack([across, down], axis=-1))
         return plane[..., 0], plane[..., 1]
 
 

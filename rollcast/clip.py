@@ -1,12 +1,14 @@
 """Footage of any kind becomes a source of frames: the content decides, not the name."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from rollcast.errors import MissingExtraError
+from rollcast.errors import FootageError, MissingExtraError
 from rollcast.footage import FrameSource
-from rollcast.image_sequence import ImageSequence, is_tiff
-from rollcast.trajectory import FRAME_RATE_HZ
+from rollcast.frames import shown_path
+from rollcast.image_sequence import ImageSequence, is_single_picture, is_tiff
+from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES
 
 
 def open_clip(
@@ -34,10 +36,15 @@ def open_clip(
         if len(path) > 1:
             return ImageSequence.from_files(path, rate or default_rate, "the images")
         path = path[0]
-    if path.is_dir():
+    if os.path.isdir(path):  # noqa: PTH112 - unlike Path's, False for names that are too long
         return ImageSequence.from_folder(path, rate or default_rate)
     if is_tiff(path):
         return ImageSequence.from_stack(path, rate or default_rate)
+    if is_single_picture(path):
+        raise FootageError(
+            f"{shown_path(path)} is one picture, expected a video, a folder of images or at least "
+            f"{OBSERVED_FRAMES} images"
+        )
     try:
         from rollcast.video import VideoFile
     except ModuleNotFoundError as error:

@@ -25,8 +25,9 @@ from jaxtyping import Float, UInt8
 from pyarrow import parquet
 
 from rollcast.camera import NETWORK_FRAME_SIZE, camera_for
-from rollcast.errors import DatasetError
-from rollcast.frames import as_frame, encode_png
+from rollcast.errors import DatasetError, FootageError
+from rollcast.frames import as_frame, encode_png, require_regular_file
+from rollcast.image_sequence import in_order, is_hidden
 from rollcast.scene import Scenario, Scene
 from rollcast.trajectory import FRAME_RATE_HZ, OBSERVED_FRAMES, Trajectory
 
@@ -53,6 +54,7 @@ COLUMNS = pa.schema(
     ]
 )  # fmt: skip
 """Frames are PNG files, in the form that Hugging Face's ``datasets`` reads as images."""
+SUFFIX = ".parquet"
 ROWS_WRITTEN_TOGETHER = 32
 COMPRESS_LEVEL = 6
 """Compression level of the PNG files, which are written once and read often."""
@@ -327,7 +329,7 @@ def write(
 
 
 def load(path: str | Path) -> SceneDataset:
-    """Read a Parquet file of :func:`write`, or all such files of a folder.
+    """Read a Parquet file of :func:`write`, or all such files of a folder, by number.
 
     Raises
     ------
@@ -335,16 +337,23 @@ def load(path: str | Path) -> SceneDataset:
         When a file cannot be read, or has other columns.
     """
     path = Path(path)
-    files = sorted(path.glob("*.parquet")) if path.is_dir() else [path]
+    files = _parquet_files(path) if path.is_dir() else [path]
     if not files:
         raise DatasetError(f"{path} contains no .parquet file")
     return SceneDataset(pa.concat_tables([_read(file) for file in files]))
 
 
+def _parquet_files(folder: Path) -> list[Path]:
+    """Return the data sets of a folder by the numbers in their names; hidden files are no data."""
+    found = [path for path in folder.iterdir() if path.suffix.lower() == SUFFIX]
+    return in_order([path for path in found if not is_hidden(path)])
+
+
 def _read(file: Path) -> pa.Table:
     try:
+        require_regular_file(file)
         table = parquet.read_table(file)
-    except (OSError, pa.ArrowInvalid) as error:
+    except (OSError, FootageError, pa.ArrowInvalid) as error:
         raise DatasetError(f"{file} cannot be read as a data set: {error}") from error
     if table.column_names != COLUMNS.names:
         raise DatasetError(

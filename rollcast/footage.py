@@ -208,6 +208,8 @@ def read_evenly(
         raise ValueError(f"frames is {frames}, expected at least 2")
     taken = source.frames(_checked(start_s))
     head = list(islice(taken, 2 + LOOK_AHEAD))
+    if not head:
+        raise FootageEndedError(f"{source.name} has no frames, expected a video or images")
     if len(head) > 1 and head[1].time_s - start_s < start_s - head[0].time_s:
         head.pop(0)
     spacing_s = _spacing([frame.time_s for frame in head], frame_rate, told_rates)

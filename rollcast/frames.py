@@ -84,6 +84,8 @@ END_OF_IMAGE = b"\xff\xd9"
 FILLINGS = (b"", b"\x55" * 4096, b"\xaa" * 4096)
 """Substitutes for the missing end of a JPEG file; pixels before the end do not depend on it."""
 HEIC_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+MAX_PIXELS = 64 * 10**6
+"""Pixels of the largest picture that is read; four of them take a gigabyte."""
 FLOAT_SLACK = 1e-3
 """Distance from 0 to 1 by which rounding may carry a float."""
 
@@ -232,11 +234,14 @@ def require_regular_file(path: os.PathLike[str] | str) -> None:
     Raises
     ------
     FootageError
-        If the path is a pipe, a device or a socket.
+        If the path is a pipe, a device or a socket, or contains a null character.
     OSError
         If the path does not exist.
     """
-    mode = Path(path).stat().st_mode
+    try:
+        mode = Path(path).stat().st_mode
+    except ValueError as error:
+        raise FootageError(f"{str(path)!r} is no path: {error}") from error
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
         kind = "a pipe" if stat.S_ISFIFO(mode) else "a device or a socket"
         raise FootageError(
@@ -274,6 +279,11 @@ def _from_bytes(data: bytes, name: str) -> UInt8[np.ndarray, "H W 3"]:
 
 
 def _pixels(image: Image.Image, name: str) -> UInt8[np.ndarray, "H W 3"]:
+    if image.width * image.height > MAX_PIXELS:
+        raise FrameError(
+            f"{name} has {image.width} x {image.height} pixels, expected at most "
+            f"{MAX_PIXELS // 10**6} million: scale it down"
+        )
     try:
         image.load()
     except DECODER_ERRORS as error:

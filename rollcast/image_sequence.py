@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -188,6 +189,22 @@ def is_tiff(path: Path) -> bool:
     return _head(path)[:4] in TIFF_HEADS
 
 
+def is_single_picture(path: Path) -> bool:
+    """Return whether a file is one picture, by its name and its content.
+
+    A camera's stream of JPEG files begins like one, and animations are videos.
+    """
+    if is_heic(_head(path)):
+        return True
+    if not is_image_name(path.name):
+        return False
+    try:
+        with open_image(path) as image:
+            return image.format == "MPO" or getattr(image, "n_frames", 1) == 1
+    except DECODER_ERRORS:
+        return False
+
+
 def _head(path: Path) -> bytes:
     try:
         require_regular_file(path)
@@ -231,39 +248,96 @@ def numbering_warnings(names: Sequence[str]) -> list[str]:
 def _numbering(paths: Sequence[Path], gap: str) -> tuple[list[int] | None, list[str]]:
     """Return the index of each image in time, and warnings.
 
+    Images whose names do not fit those of the majority take a place of their own.
+
     Parameters
     ----------
     gap
         Treatment of gaps in the numbering, for the warning.
     """
-    found = _numbers_in(paths)
-    if found is None:
+    within, columns = _counters(paths)
+    if not columns:
         return None, []
-    steps = np.diff(found)
-    if (steps <= 0).any():
-        return None, [
-            "the images are used in the order of the arguments, which is not the order of their "
-            "numbers; images of a folder are sorted by number"
-        ]
-    step, often = Counter(steps.tolist()).most_common(1)[0]
-    if step != steps.min() or 2 * often <= len(steps) or (steps % step).any():
-        return None, []  # the numbers do not count images: they may be times
-    numbers = [(number - found[0]) // step for number in found]
-    gaps = [index for index in range(len(steps)) if steps[index] > step]
-    if not gaps:
-        return None, []
-    return numbers, [f"{_gaps(paths, numbers, gaps)}: {gap}"]
+    warnings: list[str] = []
+    if len(within) < len(paths):
+        outside = [path for index, path in enumerate(paths) if index not in within]
+        warnings.append(
+            f"{_named(outside)} {'does' if len(outside) == 1 else 'do'} not fit the numbering of "
+            "the other images, but count as frames: leave out what is none"
+        )
+    ascending = [column for column in columns if min(_steps(column)) > 0]
+    if not ascending:
+        if len(columns) == 1:
+            warnings.append(
+                "the images are used in the order of the arguments, which is not the order of "
+                "their numbers; images of a folder are sorted by number"
+            )
+        return None, warnings
+    regular = [(step, column) for column in ascending if (step := _step(column)) is not None]
+    if not regular:
+        steps = _steps(ascending[-1])
+        if 10 * max(steps) > 11 * min(steps):  # whole numbers of any size
+            warnings.append(
+                f"the numbers of the images are {min(steps)} to {max(steps)} apart: "
+                "the frames are taken as evenly spaced, in which some may be missing"
+            )
+        return None, warnings
+    step, counted = min(regular, key=lambda found: found[0])
+    numbers = [(number - counted[0]) // step for number in counted]
+    gaps = [index for index, apart in enumerate(_steps(counted)) if apart > step]
+    if gaps:
+        warnings.append(f"{_gaps([paths[index] for index in within], numbers, gaps)}: {gap}")
+    elif len(within) == len(paths):
+        return None, warnings
+    return _with_others(numbers, within, len(paths)), warnings
 
 
-def _numbers_in(paths: Sequence[Path]) -> list[int] | None:
-    """Return the only number in which the names differ."""
+def _counters(paths: Sequence[Path]) -> tuple[list[int], list[list[int]]]:
+    """Return the indices of the names that differ in numbers alone, and these numbers.
+
+    They are more than half of the names; each list holds the numbers of one place in them.
+    """
+    if len(paths) < 2:
+        return [], []
     names = [_parts(path.stem) for path in paths]
-    if len(paths) < 2 or any(len(parts) != len(names[0]) for parts in names):
-        return None
-    differing = [place for place, parts in enumerate(zip(*names, strict=True)) if len({*parts}) > 1]
-    if len(differing) != 1 or differing[0] % 2 == 0:
-        return None
-    return [int(parts[differing[0]]) for parts in names]
+    text, often = Counter(tuple(parts[::2]) for parts in names).most_common(1)[0]
+    if often < 2 or 2 * often <= len(names):
+        return [], []
+    within = [index for index, parts in enumerate(names) if tuple(parts[::2]) == text]
+    columns = zip(*([int(part) for part in names[index][1::2]] for index in within), strict=True)
+    return within, [list(column) for column in columns if len({*column}) > 1]
+
+
+def _steps(numbers: Sequence[int]) -> list[int]:
+    return [after - before for before, after in pairwise(numbers)]
+
+
+def _step(numbers: Sequence[int]) -> int | None:
+    """Return the step of numbers that count images; None where they may be times."""
+    steps = _steps(numbers)
+    step, often = Counter(steps).most_common(1)[0]
+    is_regular = step == min(steps) and 2 * often > len(steps) and not any(s % step for s in steps)
+    return step if is_regular else None
+
+
+def _with_others(numbers: Sequence[int], within: Sequence[int], count: int) -> list[int]:
+    """Insert a place for each image outside the numbering, in a gap if it is at one."""
+    places = dict(zip(within, numbers, strict=True))
+    every: list[int] = []
+    moved = 0
+    for index in range(count):
+        following = every[-1] + 1 if every else 0
+        place = places[index] + moved if index in places else following
+        every.append(max(place, following))
+        if index in places:
+            moved += every[-1] - place
+    return every
+
+
+def _named(paths: Sequence[Path]) -> str:
+    names = ", ".join(shown_path(path.name) for path in paths[:GAPS_NAMED])
+    more = len(paths) - GAPS_NAMED
+    return f"{names} and {more} more" if more > 0 else names
 
 
 def _gaps(paths: Sequence[Path], numbers: Sequence[int], gaps: Sequence[int]) -> str:

@@ -5,6 +5,7 @@ last observed frame. The artefact's files and graphs are described in ``docs/dec
 """
 
 import math
+from codecs import BOM_UTF8
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -360,7 +361,7 @@ class Manifest(_Part):
         pydantic.ValidationError
             When it is not a manifest; the error names every field that is wrong.
         """
-        return cls.model_validate_json(read_regular_file(path))
+        return cls.model_validate_json(read_regular_file(path).removeprefix(BOM_UTF8))
 
     def write(self, path: Path) -> None:
         """Write the manifest as indented JSON, so that versions can be compared line by line.

@@ -46,6 +46,9 @@ MAX_HORIZON = 1000
 DEFAULT_HORIZON = 40
 MIN_STEPS = OBSERVED_FRAMES
 MAX_STEPS = 1000
+MIN_RATE_HZ = 1e-3
+MAX_RATE_HZ = 100_000
+"""Rates of frames and steps, a second."""
 MIN_FRAME_SIZE = 32
 MAX_FRAME_SIZE = 4096
 """Sides of a frame that /predict reads, in pixels."""
@@ -176,7 +179,7 @@ class BallPrompt(RequestBody):
     y: Number
     """Y coordinate in pixels of the last observed frame, down."""
     radius: Annotated[Number, Field(gt=0)] | None = None
-    """Radius in pixels; by default estimated."""
+    """Radius in pixels, at most the longer side of the frames; by default estimated."""
 
 
 Horizon = Annotated[Integer, Field(ge=1, le=MAX_HORIZON)]
@@ -184,7 +187,7 @@ BallCount = Annotated[
     Annotated[Integer, Field(ge=1, le=MAX_BALLS)] | None,
     Field(validation_alias=AliasChoices("num_objects", "objects")),  # decision 0147
 ]
-FrameRate = Annotated[Number, Field(gt=0, le=100_000)]
+FrameRate = Annotated[Number, Field(ge=MIN_RATE_HZ, le=MAX_RATE_HZ)]
 
 
 class PredictRequest(RequestBody):

@@ -16,6 +16,7 @@ from service.auth.rate_limit import RateLimiter
 from service.errors import UnknownModelError
 from service.http.authorization import check_access
 from service.http.compression import Compression
+from service.http.head_requests import HeadAsGet
 from service.http.openapi import install_openapi
 from service.http.problem_details import install_problem_handlers
 from service.http.root_path import RootPath
@@ -123,6 +124,7 @@ def create_app(
     )
     install_problem_handlers(app)
     install_openapi(app)
+    app.add_middleware(HeadAsGet)
     install_access_log(app, settings.replica, figures.request)
     app.add_middleware(Compression)
     install_headers(app, settings.allowed_origins)

@@ -28,8 +28,11 @@ from service.auth.api_keys import KeyFile
 PREFIX = "ROLLCAST_"
 FILE_VARIABLE = "ROLLCAST_SETTINGS_FILE"
 """Variable with the path of a TOML file of settings; other variables override the file."""
-OTHER_VARIABLES = frozenset({FILE_VARIABLE, "ROLLCAST_RUNS", "ROLLCAST_API_KEY", "ROLLCAST_URL"})
-"""Variables of this file, of the training and of the client, all in the same environment."""
+OTHER_VARIABLES = frozenset(
+    {FILE_VARIABLE, "ROLLCAST_RUNS", "ROLLCAST_API_KEY", "ROLLCAST_URL", "ROLLCAST_CASES"}
+)
+"""Variables of this file, of the training, of the client and of the tests, all in the same
+environment."""
 KUBERNETES_VARIABLE = re.compile(
     r"ROLLCAST(_[A-Z0-9]+)*?_(SERVICE_HOST|SERVICE_PORT(_\w+)?|PORT|PORT_\d+_(TCP|UDP)(_\w+)?)"
 )

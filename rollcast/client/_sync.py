@@ -7,9 +7,10 @@ import socket
 import struct
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from queue import Empty, Queue
 from ssl import SSLContext
-from threading import Lock
+from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar, cast
 
 import httpx2
@@ -97,7 +98,16 @@ class _Backend:
     def connect_tcp(
         self, host: str, port: int, timeout: float | None = None, **options: object
     ) -> "_Stream":
-        stream = self._backend.connect_tcp(host, port, timeout=_left_s(timeout), **options)
+        if not isinstance(timeout, Deadline):
+            return _Stream(self._backend.connect_tcp(host, port, timeout=timeout, **options))
+        addresses = _resolved(host, port, timeout)
+        for others in range(len(addresses) - 1, 0, -1):
+            address = addresses.pop(0)
+            share_s = (_left_s(timeout) or 0.0) / (others + 1)  # the rest is for the others
+            with suppress(Exception):  # the last address's is reported
+                return _Stream(self._backend.connect_tcp(address, port, timeout=share_s, **options))
+        (address,) = addresses
+        stream = self._backend.connect_tcp(address, port, timeout=_left_s(timeout), **options)
         return _Stream(stream)
 
     def sleep(self, seconds: float) -> None:
@@ -131,6 +141,30 @@ class _Stream:
 
     def close(self) -> None:
         self._stream.close()
+
+
+def _resolved(host: str, port: int, deadline: Deadline) -> list[str]:
+    """Return the addresses of a host; the host itself when it has none, which fails to connect.
+
+    Raises
+    ------
+    TimeoutError
+        When the resolver takes longer than the deadline; its thread ends by itself.
+    """
+    answers: Queue[list[str]] = Queue()
+
+    def resolve() -> None:
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        except (OSError, UnicodeError):
+            found = []
+        answers.put(list(dict.fromkeys(str(sockaddr[0]) for *_, sockaddr in found)) or [host])
+
+    Thread(target=resolve, daemon=True).start()
+    try:
+        return answers.get(timeout=_left_s(deadline))
+    except Empty as error:
+        raise TimeoutError(f"{host} is not resolved within {float(deadline):g} s") from error
 
 
 def _left_s(timeout: float | None) -> float | None:

@@ -100,6 +100,7 @@ class AsyncClient:
         crop: Crop | None = None,
         start_s: float | None = None,
         channels: Channels = "rgb",
+        camera_hz: float | None = None,
     ) -> Forecast:
         """Forecast the paths of the balls.
 
@@ -107,9 +108,9 @@ class AsyncClient:
         ----------
         frames
             The four observed frames in order, each a ``Frame``. They are sent as they are; models
-            for a fixed number of balls read square ones (``crop``). Or the path of a video, of
-            which the four frames from ``start_s`` on are read at the model's frame rate (extra
-            ``video``).
+            for a fixed number of balls read square ones (``crop``). Or the path of a video
+            (extra ``video``), a folder of images or a TIFF file, of which the four frames from
+            ``start_s`` on are read at the model's frame rate.
         horizon
             Steps; by default 40, with a final frame as many as its model is made for.
         model
@@ -142,6 +143,9 @@ class AsyncClient:
         channels
             Order of the channels of arrays and tensors: "bgr" for those of OpenCV. Files and Pillow
             images state theirs.
+        camera_hz
+            Frames a second that the camera took, where the video does not tell or is slow motion,
+            or of a folder of images.
 
         Raises
         ------
@@ -163,6 +167,7 @@ class AsyncClient:
             crop=crop,
             start_s=start_s,
             channels=channels,
+            camera_hz=camera_hz,
         )
         return await self._run(await self._forecast(calls.predict, frames, final_frame, options))
 

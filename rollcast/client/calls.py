@@ -26,6 +26,8 @@ from rollcast.image_sequence import numbering_warnings
 from rollcast.scene import Domain, Scenario, Scene
 from rollcast.schemas import (
     MAX_HORIZON,
+    MAX_RATE_HZ,
+    MIN_RATE_HZ,
     REQUEST_ID_HEADER,
     DetectResponse,
     Health,
@@ -70,6 +72,8 @@ class ForecastOptions(TypedDict, total=False):
     """Time of the first frame in a clip, seconds."""
     channels: Channels
     """Order of the channels of arrays and tensors: "rgb" or "bgr"."""
+    camera_hz: float | None
+    """Frames a second that the camera of a clip took."""
 
 
 class SimulationOptions(TypedDict, total=False):
@@ -215,8 +219,9 @@ def _forecast_call(
     warnings: tuple[str, ...],
 ) -> Call[Forecast]:
     crop, channels = options.get("crop"), options.get("channels", "rgb")
-    if options.get("start_s") is not None:
-        raise InvalidArgumentError("start_s is for a clip, given as the path of a video")
+    for name in ("start_s", "camera_hz"):
+        if options.get(name) is not None:
+            raise InvalidArgumentError(f"{name} is for a clip, given as the path of a video")
     horizon, number = _whole("horizon", options), _whole("num_objects", options)
     balls = options.get("balls")
     prompts = None if balls is None else prompts_of(balls)
@@ -254,7 +259,7 @@ def _forecast_call(
 
 def _rates(options: ForecastOptions) -> dict[str, float | None]:
     rates = {"frame_rate": options.get("frame_rate"), "step_rate": options.get("step_rate")}
-    return {name: None if rate is None else _number(name, rate) for name, rate in rates.items()}
+    return {name: None if rate is None else number(name, rate) for name, rate in rates.items()}
 
 
 def session(options: ForecastOptions) -> Call[Forecast]:
@@ -289,7 +294,7 @@ def detect(
     """Send frames as file parts, to learn which balls they show."""
     fields = {
         "model": model,
-        "min_score": str(_number("min_score", min_score)),
+        "min_score": str(number("min_score", min_score)),
         "refine_still": str(bool(refine_still)).lower(),
     }
     files: list[Part] = [
@@ -382,10 +387,28 @@ def _whole(name: str, options: Mapping[str, Any]) -> int | None:
         raise InvalidArgumentError(f"{name} is {value!r}, expected a whole number") from error
 
 
-def _number(name: str, value: object) -> float:
+def checked_rate(name: str, value: object) -> float:
+    """Return a number of frames a second.
+
+    Raises
+    ------
+    InvalidArgumentError
+        When it is none, or the service takes no such rate.
+    """
+    rate = number(name, value)
+    if not MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
+        expected = f"{MIN_RATE_HZ:g} to {MAX_RATE_HZ} frames a second"
+        raise InvalidArgumentError(f"{name} is {value!r}, expected {expected}")
+    return rate
+
+
+def number(name: str, value: object) -> float:
+    """Return an argument as a number; raises InvalidArgumentError when it is none."""
+    if isinstance(value, str | bytes):
+        raise InvalidArgumentError(f"{name} is {value!r}, expected a number")
     try:
         return float(value)  # pyright: ignore[reportArgumentType] - that is the question
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InvalidArgumentError(f"{name} is {value!r}, expected a number") from error
 
 

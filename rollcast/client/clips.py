@@ -1,20 +1,21 @@
-"""Four frames of a video, as the client sends them (extra ``video``)."""
+"""Four frames of a clip, as the client sends them; videos need the extra ``video``."""
 
 import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias, TypeGuard
 
-from rollcast.client.calls import ForecastOptions
+from rollcast.client.calls import ForecastOptions, checked_rate, number
 from rollcast.client.images import Frames
 from rollcast.client.prompts import moved, prompts_of
-from rollcast.errors import MissingExtraError
-from rollcast.footage import Footage, SquareCrop, WholePicture
+from rollcast.clip import open_clip
+from rollcast.errors import InvalidArgumentError
+from rollcast.footage import Footage, SquareCrop, WholePicture, read_evenly
 from rollcast.schemas import AUTO_MODEL, ModelEntry
 from rollcast.trajectory import FRAME_RATE_HZ
 
 Clip: TypeAlias = os.PathLike[str] | str
-"""Path of a video file."""
+"""Path of a video, a folder of images or a TIFF file of several pages."""
 LONG_BLEND_S = 0.05
 """Distance of two frames, in time, over which a ball may move too far for them to be blended."""
 
@@ -25,8 +26,17 @@ def is_clip(frames: "Frames | Clip") -> TypeGuard[Clip]:
 
 
 def named_model(options: ForecastOptions) -> tuple[str, int | None] | None:
-    """Return name and version of the requested model, None for "auto"."""
-    name, _, version = options.get("model", AUTO_MODEL).partition("@")
+    """Return name and version of the requested model, None for "auto".
+
+    Raises
+    ------
+    InvalidArgumentError
+        When it is no text.
+    """
+    model: object = options.get("model", AUTO_MODEL)
+    if not isinstance(model, str):
+        raise InvalidArgumentError(f"model is {model!r}, expected auto, NAME or NAME@VERSION")
+    name, _, version = model.partition("@")
     return None if name == AUTO_MODEL else (name, int(version) if version.isdecimal() else None)
 
 
@@ -38,9 +48,10 @@ def read_clip(
     Parameters
     ----------
     clip
-        Video file.
+        Video, folder of images or TIFF file.
     options
-        Options of the forecast: ``start_s`` and ``frame_rate`` say which frames are read.
+        Options of the forecast: ``start_s`` and ``frame_rate`` say which frames are read,
+        ``camera_hz`` how many the camera took.
     models
         The requested model, whose frame rate and crop are used; all of the service for "auto".
     final_frame
@@ -53,31 +64,35 @@ def read_clip(
 
     Raises
     ------
+    InvalidArgumentError
+        When an option cannot be used.
     MissingExtraError
-        When PyAV is not installed.
+        When it is a video and PyAV is not installed.
     FootageError
         When the clip cannot be read, or ends too early.
     """
-    try:
-        from rollcast.video import read_frames
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("videos need", "PyAV", "video") from error
     model = None if named_model(options) is None else models[0]
-    asked = options.get("frame_rate")
+    asked, camera_hz = (
+        None if (rate := options.get(name)) is None else checked_rate(name, rate)
+        for name in ("frame_rate", "camera_hz")
+    )
     rate = asked or (model and model.frame_rate_hz) or FRAME_RATE_HZ
     told = told_rates(models) if asked is None and not final_frame else None
     balls, is_cropped = options.get("balls"), options.get("crop") is not None
     whole = not is_cropped and sends_whole(models, options, final_frame=final_frame)
     crop = WholePicture() if whole else setup_crop(model)
-    start_s = options.get("start_s") or 0.0
-    seen = read_frames(Path(clip), start_s=start_s, crop=crop, frame_rate=rate, told_rates=told)
-    rest = options | ForecastOptions(frame_rate=seen.frame_rate, start_s=None, crop=None)
+    source = open_clip(Path(clip), rate=camera_hz, default_rate=rate)
+    start_s = 0.0 if (given := options.get("start_s")) is None else number("start_s", given)
+    seen = read_evenly(source, start_s=start_s, crop=crop, frame_rate=rate, told_rates=told)
+    read = ForecastOptions(frame_rate=seen.frame_rate, start_s=None, crop=None, camera_hz=None)
+    rest = options | read
     if balls is not None:
         rest["balls"] = moved(prompts_of(balls), seen.crop)
     # Frames of a clip are RGB; a final frame that is an array has the order that the caller names.
     frames = seen.frames[..., ::-1] if options.get("channels") == "bgr" else seen.frames
     chosen = is_cropped or crop is not None
-    return frames, rest, (*blend_warnings(seen, rate), *crop_warnings(seen, chosen=chosen))
+    warnings = (*seen.warnings, *blend_warnings(seen, rate), *crop_warnings(seen, chosen=chosen))
+    return frames, rest, warnings
 
 
 def sends_whole(

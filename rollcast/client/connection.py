@@ -62,8 +62,10 @@ class Target:
         except (ImportError, OSError, ValueError, httpx2.InvalidURL) as error:
             causes = [f"the proxy {self.proxy}"] if self.proxy else []
             causes += [f"{name}={value}" for name, value in settings.certificates().items()]
+            hint = "; NO_PROXY=127.0.0.1 excludes local addresses" if self.proxy else ""
             raise InvalidArgumentError(
-                f"the environment's {' or '.join(causes) or 'TLS settings'} cannot be used: {error}"
+                f"{' or '.join(causes) or 'TLS settings'} of the environment cannot be used: "
+                f"{error}{hint}"
             ) from error
 
 

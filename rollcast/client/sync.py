@@ -102,6 +102,7 @@ class Client:
         crop: Crop | None = None,
         start_s: float | None = None,
         channels: Channels = "rgb",
+        camera_hz: float | None = None,
     ) -> Forecast:
         """Forecast the paths of the balls.
 
@@ -109,9 +110,9 @@ class Client:
         ----------
         frames
             The four observed frames in order, each a ``Frame``. They are sent as they are; models
-            for a fixed number of balls read square ones (``crop``). Or the path of a video, of
-            which the four frames from ``start_s`` on are read at the model's frame rate (extra
-            ``video``).
+            for a fixed number of balls read square ones (``crop``). Or the path of a video
+            (extra ``video``), a folder of images or a TIFF file, of which the four frames from
+            ``start_s`` on are read at the model's frame rate.
         horizon
             Steps; by default 40, with a final frame as many as its model is made for.
         model
@@ -144,6 +145,9 @@ class Client:
         channels
             Order of the channels of arrays and tensors: "bgr" for those of OpenCV. Files and Pillow
             images state theirs.
+        camera_hz
+            Frames a second that the camera took, where the video does not tell or is slow motion,
+            or of a folder of images.
 
         Raises
         ------
@@ -165,6 +169,7 @@ class Client:
             crop=crop,
             start_s=start_s,
             channels=channels,
+            camera_hz=camera_hz,
         )
         return self._run(self._forecast(calls.predict, frames, final_frame, options))
 

@@ -20,7 +20,13 @@ from rollcast.commands.mjpeg import LivePage
 from rollcast.commands.options import CommandError, Outcome, Url, client, whole_number
 from rollcast.errors import ClientError, MissingExtraError
 from rollcast.plot import draw_moment
-from rollcast.schemas import AUTO_MODEL, DEFAULT_HORIZON, MAX_HORIZON
+from rollcast.schemas import (
+    AUTO_MODEL,
+    DEFAULT_HORIZON,
+    MAX_HORIZON,
+    MAX_RATE_HZ,
+    MIN_RATE_HZ,
+)
 from rollcast.trajectory import OBSERVED_FRAMES
 
 if TYPE_CHECKING:
@@ -168,11 +174,12 @@ def _forecast(
     service: Client, seen: list[LiveFrame], horizon: int, model: str
 ) -> tuple[Image.Image, float]:
     span_s = seen[-1].time_s - seen[0].time_s
+    frame_rate = (OBSERVED_FRAMES - 1) / max(span_s, (OBSERVED_FRAMES - 1) / MAX_RATE_HZ)
     forecast = service.predict(
         [frame.picture for frame in seen],
         horizon=horizon,
         model=model,
-        frame_rate=(OBSERVED_FRAMES - 1) / span_s,
+        frame_rate=max(frame_rate, MIN_RATE_HZ),
     )
     delay_s = time.monotonic() - seen[-1].arrived_s
     title = f"{forecast.model.name}: +{forecast.times_s[-1]:.2f} s, delay {1000 * delay_s:.0f} ms"

@@ -10,8 +10,9 @@ import typer
 
 from rollcast.client import Client
 from rollcast.client.settings import DEFAULT_URL, URL_VARIABLE
+from rollcast.errors import InvalidArgumentError
 from rollcast.footage import SquareCrop
-from rollcast.schemas import BallPrompt
+from rollcast.schemas import MAX_RATE_HZ, MIN_RATE_HZ, BallPrompt
 from rollcast.trajectory import FRAME_RATE_HZ
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
@@ -51,6 +52,8 @@ def client(context: typer.Context, url: str | None) -> Client:
     connect: Connect = context.obj
     try:
         return connect(url)
+    except InvalidArgumentError:  # of an argument or a variable, which it names
+        raise
     except (ImportError, OSError, ValueError) as error:
         raise CommandError(
             f"no connection can be made ({error}): check the environment's proxies (ALL_PROXY, "
@@ -79,8 +82,9 @@ def _seconds(text: str) -> float:
 
 def positive_rate(text: str) -> float:
     """Parse a number of frames or steps a second."""
-    if not re.fullmatch(r"[0-9]+(\.[0-9]*)?|\.[0-9]+", text) or not 0 < float(text) <= 100_000:
-        raise typer.BadParameter(f"{text} is not a rate in Hz")
+    is_number = re.fullmatch(r"[0-9]+(\.[0-9]*)?|\.[0-9]+", text)
+    if not is_number or not MIN_RATE_HZ <= float(text) <= MAX_RATE_HZ:
+        raise typer.BadParameter(f"{text} is not a rate in Hz, {MIN_RATE_HZ:g} to {MAX_RATE_HZ}")
     return float(text)
 
 

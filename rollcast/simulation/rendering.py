@@ -19,6 +19,9 @@ from rollcast.trajectory import Trajectory
 
 _SUPERSAMPLES = 2
 """Background samples per pixel and axis."""
+_STRIP_SAMPLES = 2**16
+"""Samples that are shaded at once: those of a frame of 128 pixels. The intermediate arrays of
+larger frames would take a gigabyte."""
 
 _CHECKER_SIDE_RAD = math.pi / 10
 _CHECKER_COLORS = np.array([[0.92, 0.92, 0.90], [0.22, 0.26, 0.32]])
@@ -120,10 +123,14 @@ class Renderer:
         else:
             self._background = empty.astype(np.float32) / 255
         self.empty = empty
-        x, y = camera.pixel_centres_m()
-        height = self._surface.height_and_normal(x, y)[0]
-        self._heights = np.where(np.isnan(height), -np.inf, height).astype(np.float32)
-        self._ground_points = np.stack([x, y, self._heights], axis=-1).astype(np.float32)
+        size = camera.image_size
+        self._ground_points = np.empty((size, size, 3), np.float32)
+        for rows in _strips(size):
+            x, y = camera.pixel_centres_m(rows)
+            height = self._surface.height_and_normal(x, y)[0]
+            height = np.where(np.isnan(height), -np.inf, height)
+            self._ground_points[rows] = np.stack([x, y, height], axis=-1)
+        self._heights = self._ground_points[..., 2]
 
     def render(self, trajectory: Trajectory) -> UInt8[np.ndarray, "frames size size 3"]:
         """Render every frame of a trajectory."""
@@ -182,7 +189,34 @@ class Renderer:
     def _make_background(self) -> Float[np.ndarray, "size size 3"]:
         size = self._camera.image_size
         fine = Camera(self._camera.half_width_m, _SUPERSAMPLES * size)
-        x, y = fine.pixel_centres_m()
+        lowest = highest = 0.0
+        if isinstance(self._surface, Heightfield):
+            lowest, highest = self._terrain_range(fine)
+        background = np.empty((size, size, 3), np.float32)
+        for rows in _strips(fine.image_size):
+            shaded = self._shaded(*fine.pixel_centres_m(rows), lowest, highest)
+            blocks = shaded.reshape(-1, _SUPERSAMPLES, size, _SUPERSAMPLES, 3)
+            strip = slice(rows.start // _SUPERSAMPLES, rows.stop // _SUPERSAMPLES)
+            background[strip] = blocks.mean(axis=(1, 3))
+        return background
+
+    def _terrain_range(self, camera: Camera) -> tuple[float, float]:
+        """Lowest and highest point of the ground, among those whose shadows are computed."""
+        extremes: list[float] = []
+        for rows in _strips(camera.image_size):
+            x, y = (a[::_SUPERSAMPLES, ::_SUPERSAMPLES] for a in camera.pixel_centres_m(rows))
+            z = self._surface.height_and_normal(x, y)[0]
+            extremes += [float(z.min()), float(z.max())]
+        return min(extremes), max(extremes)
+
+    def _shaded(
+        self,
+        x: Float[np.ndarray, "rows columns"],
+        y: Float[np.ndarray, "rows columns"],
+        lowest: float,
+        highest: float,
+    ) -> Float[np.ndarray, "rows columns 3"]:
+        """Lit ground at points of the plane; ``lowest`` and ``highest`` bound heightfields."""
         z, normals = self._surface.height_and_normal(x, y)
         points = np.stack([x, y, z], axis=-1)
         if isinstance(self._surface, EllipsoidalBowl):
@@ -194,10 +228,10 @@ class Renderer:
         light = self._light_on(points, normals)
         if isinstance(self._surface, Heightfield):
             lamp = light - AMBIENT_ON_HEIGHTFIELD
-            light = AMBIENT_ON_HEIGHTFIELD + lamp * self._terrain_visibility(points)
-        shaded = np.where(np.isnan(z)[..., None], BEYOND_COLOR, colors * light[..., None])
-        blocks = shaded.reshape(size, _SUPERSAMPLES, size, _SUPERSAMPLES, 3)
-        return blocks.mean(axis=(1, 3)).astype(np.float32)
+            light = AMBIENT_ON_HEIGHTFIELD + lamp * self._terrain_visibility(
+                points, lowest, highest
+            )
+        return np.where(np.isnan(z)[..., None], BEYOND_COLOR, colors * light[..., None])
 
     def _light_on(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Diffuse light on points with normals, before shadows."""
@@ -211,16 +245,16 @@ class Renderer:
         downwards = towards[..., 2] / np.sqrt(squared)
         return AMBIENT_ON_HEIGHTFIELD + _LIGHT_POWER * facing * downwards / squared
 
-    def _terrain_visibility(self, points: np.ndarray) -> np.ndarray:
+    def _terrain_visibility(self, points: np.ndarray, lowest: float, highest: float) -> np.ndarray:
         """Share of the area light that points of the ground see past the ground itself.
 
         Rays are followed until they are above every hill, on every second point of the supersampled
         grid: penumbrae are wider than that.
         """
         coarse = points[::_SUPERSAMPLES, ::_SUPERSAMPLES]
-        towards = np.asarray(self._scene.light_position_m) - coarse
-        highest = coarse[..., 2].max()
-        free = float((highest - coarse[..., 2].min()) / towards[..., 2].min())
+        light = np.asarray(self._scene.light_position_m)
+        towards = light - coarse
+        free = (highest - lowest) / (float(light[2]) - highest)
         clearance = np.full(coarse.shape[:-1], np.inf)
         for fraction in np.linspace(free / _SHADOW_STEPS, free, _SHADOW_STEPS):
             sample = coarse + fraction * towards
@@ -313,6 +347,12 @@ class Renderer:
         # The highlight is that of a lamp at the camera: the mirrored ray comes back along +z.
         highlight = _SPECULAR * np.maximum(2 * normals[..., 2:] ** 2 - 1, 0) ** _SHININESS
         return _DIFFUSE * light * _BALL_COLORS[index] / _BALL_COLORS.max() + highlight
+
+
+def _strips(size: int) -> list[slice]:
+    """Rows of a square image, in parts of at most _STRIP_SAMPLES points and whole pixels."""
+    rows = max(_STRIP_SAMPLES // size // _SUPERSAMPLES, 1) * _SUPERSAMPLES
+    return [slice(top, min(top + rows, size)) for top in range(0, size, rows)]
 
 
 def _checkerboard(bowl: EllipsoidalBowl, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -10,9 +10,10 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 from pyarrow import csv, parquet
-from pydantic import BaseModel, ValidationError
+from pydantic import AliasChoices, BaseModel, Field, ValidationError
 
 from rollcast.errors import FootageError
+from rollcast.frames import require_regular_file
 
 ABOUT = b"rollcast"
 """Key of the file metadata with the properties of the clip, as JSON."""
@@ -37,7 +38,8 @@ class _ClipProperties(BaseModel):
 
     width: int
     height: int
-    colors: tuple[str, ...]
+    colors: tuple[str, ...] = Field(validation_alias=AliasChoices("colors", "colours"))
+    """Files of earlier versions have the second name."""
     source_sha256: str = ""
 
 
@@ -135,6 +137,7 @@ class Tracks:
             When the file cannot be read or holds no such table.
         """
         try:
+            require_regular_file(path)
             with path.open("rb") as file:
                 table = _read_csv(file) if path.suffix.lower() == CSV else parquet.read_table(file)
         except (OSError, ValueError, pa.ArrowException) as error:

@@ -21,6 +21,9 @@ UNCERTAIN_RADII = 0.5
 """Maximum standard deviation of a ball's position, in its radii, without a warning."""
 
 
+MIN_RADIUS = 0.1
+"""Smallest radius of a prompt, pixels."""
+
 LEVEL_STEPS = 20
 """Steps of the model over which the ground under a ball's path has to be level."""
 HALF = NETWORK_FRAME_SIZE / 2
@@ -162,6 +165,9 @@ def _points(
         if not (0 <= prompt.x <= box.width and 0 <= prompt.y <= box.height):
             expected = f"a point of the frames of {box.width} x {box.height} pixels"
             raise InvalidValueError.at(f"balls[{index}]", [prompt.x, prompt.y], expected)
+        if prompt.radius is not None and not MIN_RADIUS <= prompt.radius <= box.side:
+            expected = f"{MIN_RADIUS:g} to {box.side:g} pixels, the longer side of the frames"
+            raise InvalidValueError.at(f"balls[{index}].radius", prompt.radius, expected)
     pixels = np.array([(prompt.x, prompt.y) for prompt in prompts], float)
     radii = np.array([np.nan if p.radius is None else p.radius for p in prompts], float)
     return box.points(pixels), radii / (box.side / 2)

@@ -7,6 +7,7 @@ proportion to its body; it belongs into a thread.
 
 import asyncio
 import gc
+from codecs import BOM_UTF8 as UTF8_BOM
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import Any, TypeAlias, TypeVar
@@ -149,7 +150,7 @@ def parse_json(body: Body, model: type[B], max_values: int = MAX_VALUES) -> B:
     Parameters
     ----------
     body
-        UTF-8 text.
+        UTF-8 text, with or without a byte order mark.
     model
         Model of the body.
     max_values
@@ -174,7 +175,7 @@ def parse_json(body: Body, model: type[B], max_values: int = MAX_VALUES) -> B:
     # parsing; the interpreter's lock is held for all of it.
     gc.disable()
     try:
-        data = from_json(body, allow_inf_nan=False)
+        data = from_json(body.removeprefix(UTF8_BOM), allow_inf_nan=False)
     except ValueError as error:
         raise MalformedBodyError(f"The body is not JSON: {error}.") from error
     finally:

@@ -73,7 +73,7 @@ class StepTimes:
         share = (times - low).clip(0).astype(np.float32)
         share[share < TOLERANCE] = 0
         # A step that lies on one of the network's does not depend on the next one.
-        high = low + (share > 0)
+        high = np.minimum(low + (share > 0), count - 1)
         between = {
             name: _between(values[low], values[high], share) for name, values in known.items()
         }

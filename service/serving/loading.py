@@ -24,12 +24,19 @@ from rollcast.manifest import (
     Manifest,
 )
 from rollcast.rollout import roll_out
+from rollcast.schemas import AUTO_MODEL
 from service.inference.onnx_runtime import open_predictor as open_graphs
 from service.inference.rollout import Predictor
 from service.serving.registry import Model, Registry
 from service.settings import CPU_PROVIDER
 
 PredictorFactory = Callable[[Path, Manifest], Predictor]
+
+Report = Callable[[str], object]
+"""Takes a line for the log."""
+
+NAME = re.compile(r"(?!\.)[A-Za-z0-9._-]{1,128}")
+"""Names that requests and log lines can show; hidden folders hold no models."""
 
 log = logging.getLogger(__name__)
 
@@ -50,6 +57,7 @@ def load_registry(
     models_dir: Path,
     name: str | None = None,
     open_predictor: PredictorFactory = open_graphs,
+    report: Report = log.warning,
 ) -> Registry:
     """Load every ``NAME/VERSION`` under a folder; one that is refused does not stop the others.
 
@@ -61,15 +69,24 @@ def load_registry(
         Only versions of this model; None loads all.
     open_predictor
         Opens the graphs of one artefact.
+    report
+        Takes a line for each folder that is not served.
     """
+    if name is None:
+        for other in _other_names(models_dir):
+            report(
+                f"the folder {other!a} is no model: a name consists of letters, digits and "
+                f'. _ - without a dot in front, and is not "{AUTO_MODEL}"'
+            )
     folders = [folder for folder in _folders(models_dir) if name in (None, folder.parent.name)]
     wanted = [folder for folder in folders if folder.name == str(int(folder.name))]
-    misnamed = [_misnamed(folder) for folder in folders if folder not in wanted]
+    misnamed = [_misnamed(folder, report) for folder in folders if folder not in wanted]
     # The slowest models first, so that no core ends with one of them.
     wanted.sort(key=_size_of_encoder, reverse=True)
     # A single name is loaded while the service answers: it takes one core only.
     with ThreadPoolExecutor(cpu_count() if name is None else 1) as pool:
-        models = list(pool.map(partial(_load, open_predictor=open_predictor), wanted))
+        load = partial(_load, open_predictor=open_predictor, report=report)
+        models = list(pool.map(load, wanted))
     labels = {model.label for model in models}
     # Beside the version itself, which goes on being served, the log alone tells of them.
     return Registry([*models, *(model for model in misnamed if model.label not in labels)])
@@ -92,15 +109,23 @@ def begin_loading(models_dir: Path, provider: str = CPU_PROVIDER) -> Loader:
     """
     open_predictor = partial(open_graphs, provider=provider)
     begun: list[Future[Registry]] = [Future()]
+    messages: list[str] = []  # logging may not be configured yet
 
     def fulfil(future: Future[Registry]) -> None:
         try:
-            future.set_result(load_registry(models_dir, open_predictor=open_predictor))
+            registry = load_registry(models_dir, None, open_predictor, messages.append)
+            future.set_result(registry)
         except BaseException as error:  # is raised where the models are asked for
             future.set_exception(error)
 
     def load(models_dir: Path, name: str | None = None) -> Registry:
-        return begun.pop().result() if begun else load_registry(models_dir, name, open_predictor)
+        if not begun:
+            return load_registry(models_dir, name, open_predictor)
+        try:
+            return begun.pop().result()
+        finally:
+            for message in messages:
+                log.warning(message)
 
     # A process that is stopped meanwhile need not wait for it.
     Thread(target=fulfil, args=begun, name="loading", daemon=True).start()
@@ -108,18 +133,29 @@ def begin_loading(models_dir: Path, provider: str = CPU_PROVIDER) -> Loader:
 
 
 def _folders(models_dir: Path) -> list[Path]:
-    return sorted(path for path in models_dir.glob("*/*") if _is_version(path))
+    versions = (path for path in models_dir.glob("*/*") if _is_version(path))
+    return sorted(path for path in versions if _is_name(path.parent.name))
+
+
+def _other_names(models_dir: Path) -> list[str]:
+    """Return the folders that hold versions under a name that no request can state."""
+    names = {path.parent.name for path in models_dir.glob("*/*") if _is_version(path)}
+    return sorted(name for name in names if not _is_name(name))
+
+
+def _is_name(name: str) -> bool:
+    return name != AUTO_MODEL and NAME.fullmatch(name) is not None
 
 
 def _is_version(folder: Path) -> bool:
     return re.fullmatch(r"[0-9]{1,9}", folder.name) is not None
 
 
-def _misnamed(folder: Path) -> Model:
+def _misnamed(folder: Path, report: Report) -> Model:
     """Refuse a folder such as ``01``, which would stand for the same version as ``1``."""
     version = int(folder.name)
     reason = f"the folder {folder.name} of version {version} must be named {version}"
-    log.warning("%s/%s is refused: %s", folder.parent.name, folder.name, reason)
+    report(f"{folder.parent.name}/{folder.name} is refused: {reason}")
     return Model(folder.parent.name, version, reason=reason)
 
 
@@ -128,7 +164,7 @@ def _size_of_encoder(folder: Path) -> int:
     return path.stat().st_size if path.is_file() else 0
 
 
-def _load(folder: Path, open_predictor: PredictorFactory) -> Model:
+def _load(folder: Path, open_predictor: PredictorFactory, report: Report) -> Model:
     name, version = folder.parent.name, int(folder.name)
     manifest = card = None
     try:
@@ -140,7 +176,7 @@ def _load(folder: Path, open_predictor: PredictorFactory) -> Model:
         _check_golden(predictor, folder / GOLDEN_FILE)
     except Exception as error:  # whatever a damaged file makes a library raise, the rest is served
         reason = str(error) if isinstance(error, ArtefactError) else f"cannot be loaded: {error}"
-        log.warning("%s@%s is refused: %s", name, version, reason)
+        report(f"{name}@{version} is refused: {reason}")
         return Model(name, version, manifest, reason=reason, card=card)
     return Model(name, version, manifest, predictor, card=card)
 

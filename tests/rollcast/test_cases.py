@@ -1,7 +1,8 @@
 """A folder of files that were once read wrongly: ``ROLLCAST_CASES=FOLDER pytest`` reads them all.
 
-Files of the same kinds are made in test_frames.py, test_video_kinds.py and test_clip_names.py;
-these here come from other recorders and are not part of the repository.
+By default the folder is ``shared/cases/files`` beside the checkout. Files of the same kinds are
+made in test_frames.py, test_video_kinds.py and test_clip_names.py; these here come from other
+recorders and are not part of the repository.
 """
 
 import os
@@ -15,9 +16,12 @@ from rollcast.client import Client
 from rollcast.client.images import decoded
 from rollcast.client.testing import FakeService
 
+ROOT = Path(__file__).parents[2]
 CASES = os.environ.get("ROLLCAST_CASES")  # noqa: TID251 - where a tester keeps them
-pytestmark = pytest.mark.skipif(CASES is None, reason="ROLLCAST_CASES names no folder of cases")
-FOLDER = Path(CASES or ".")
+FOLDER = ROOT.parent / "shared/cases/files" if CASES is None else Path(CASES)
+pytestmark = pytest.mark.skipif(
+    CASES is None and not FOLDER.is_dir(), reason="ROLLCAST_CASES names no folder of cases"
+)
 
 READ = {
     "gray16png": ("", ()),
@@ -54,7 +58,7 @@ def predict(name, options, capsys):
         ["predict", str(FOLDER / name), *options, "--horizon", "5"],
         lambda _: Client(transport=service),
     )
-    return code, capsys.readouterr(), service.requests
+    return code, capsys.readouterr(), [request for request in service.requests if request.frames]
 
 
 @pytest.mark.parametrize("name", READ)

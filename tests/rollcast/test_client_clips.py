@@ -6,9 +6,10 @@ from typing import ClassVar
 import av
 import numpy as np
 import pytest
+from PIL import Image
 
 from rollcast.client.clips import told_rates
-from rollcast.client.images import encoded
+from rollcast.client.images import decoded, encoded
 from rollcast.client.testing import FakeService
 from rollcast.errors import FootageError, InvalidArgumentError
 from rollcast.footage import WholePicture
@@ -243,3 +244,70 @@ def test_a_clip_has_its_own_order_of_channels(client, clip):
     one, other = (asked for asked in service.requests if asked.path == "/predict")
     assert one.frames == other.frames
     assert one.final_frame == other.final_frame
+
+
+def test_the_cameras_rate_can_be_stated(client, clip):
+    service = FakeService()
+    client(service).predict(clip, camera_hz=120, horizon=3)
+    expected = read_frames(clip, camera_hz=120)
+    assert [*service.requests[-1].frames] == [encoded(frame, None) for frame in expected.frames]
+    assert "camera_hz" not in service.requests[-1].fields
+
+
+@pytest.mark.parametrize("kind", ["folder", "stack.tif"])
+def test_folders_and_stacks_are_clips(client, tmp_path, kind):
+    pictures = [Image.fromarray(np.full((SIDE, SIDE, 3), 40 + n, np.uint8)) for n in range(6)]
+    path = tmp_path / kind
+    if kind == "folder":
+        path.mkdir()
+        for number, picture in enumerate(pictures):
+            picture.save(path / f"f{number}.png")
+    else:
+        pictures[0].save(path, save_all=True, append_images=pictures[1:])
+    service = FakeService()
+    client(service).predict(path, camera_hz=40, start_s=0.025, horizon=3)
+    assert [decoded(frame)[0, 0, 0] for frame in service.requests[-1].frames] == [41, 42, 43, 44]
+
+
+def test_an_empty_folder_is_told(client, tmp_path):
+    with pytest.raises(FootageError, match="has no frames"):
+        client(FakeService()).predict(tmp_path)
+
+
+WRONG = [
+    {"model": 3},
+    {"model": None},
+    {"frame_rate": -1},
+    {"frame_rate": 0},
+    {"frame_rate": float("nan")},
+    {"frame_rate": float("inf")},
+    {"frame_rate": 10**400},
+    {"frame_rate": "40"},
+    {"frame_rate": []},
+    {"camera_hz": 0},
+    {"camera_hz": "40"},
+    {"step_rate": "40"},
+    {"start_s": "1"},
+    {"start_s": []},
+    {"horizon": "3"},
+    {"num_objects": 1.5},
+    {"balls": 3},
+]
+
+
+@pytest.mark.parametrize("options", WRONG, ids=str)
+def test_a_wrong_option_of_a_clip_is_the_documented_error(client, clip, options):
+    with pytest.raises(InvalidArgumentError, match=next(iter(options))):
+        client(FakeService()).predict(clip, **options)
+
+
+@pytest.mark.parametrize("start_s", [-1, float("nan"), float("inf"), 1e300])
+def test_a_start_outside_the_clip_is_told(client, clip, start_s):
+    with pytest.raises(FootageError):
+        client(FakeService()).predict(clip, start_s=start_s)
+
+
+@pytest.mark.parametrize("path", ["a\0b.mp4", "", "missing.mp4", "x" * 5000, "a\udcffb.mp4"])
+def test_a_wrong_path_is_the_documented_error(client, path):
+    with pytest.raises(FootageError):
+        client(FakeService()).predict(path)

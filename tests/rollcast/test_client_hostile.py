@@ -4,10 +4,12 @@ import asyncio
 import gc
 import json
 import random
+import socket
 import subprocess
 import sys
+import threading
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import httpx2
 import numpy as np
@@ -367,3 +369,40 @@ def test_a_spoiled_answer_is_an_error_or_still_consistent(client, path):
         except ClientError as error:
             pytest.fail(f"{error!r} for {spoiled[-1]!r}")
     assert failed > 30, "it is spoiled in earnest"
+
+
+@pytest.mark.parametrize("addresses", [1, 5])
+def test_the_timeout_bounds_connecting_to_all_addresses(monkeypatch, addresses):
+    # Full backlogs: connecting to them takes for ever, as to machines that are switched off.
+    with ExitStack() as opened:
+        listener = opened.enter_context(socket.socket())
+        listener.bind(("127.0.0.1", 0))
+        listener.listen(0)
+        port = listener.getsockname()[1]
+        for _ in range(3):
+            filler = opened.enter_context(socket.socket())
+            filler.setblocking(False)
+            filler.connect_ex(("127.0.0.1", port))
+        found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port))] * addresses
+        other = [(*of[:4], (f"127.0.0.{index + 1}", port)) for index, of in enumerate(found)]
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: [found[0], *other[1:]])
+        begun = time.monotonic()
+        with (
+            Client(f"http://many.test:{port}", timeout_s=1, retries=0) as client,
+            pytest.raises(UnreachableError),
+        ):
+            client.health()
+        assert time.monotonic() - begun < 4
+
+
+def test_the_timeout_bounds_the_resolver(monkeypatch):
+    released = threading.Event()
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: released.wait(30) and [])
+    begun = time.monotonic()
+    with (
+        Client("http://slow.test:8000", timeout_s=0.5, retries=0) as client,
+        pytest.raises(RequestTimeoutError),
+    ):
+        client.health()
+    released.set()
+    assert time.monotonic() - begun < 10

@@ -76,7 +76,27 @@ def test_an_environment_that_cannot_be_used_is_named(images, capsys, monkeypatch
     code = main(["predict", str(images), "--url", "http://127.0.0.1:9"])
     printed = capsys.readouterr()
     assert (code, printed.out, printed.err.count("\n")) == (1, "", 1)
-    assert variable in printed.err or "does not answer" in printed.err
+    assert variable.lower() in printed.err.lower() or "does not answer" in printed.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "environment", "named"),
+    [
+        ([], {"ROLLCAST_URL": "ftp://there"}, "ROLLCAST_URL"),
+        ([], {"ROLLCAST_API_KEY": "a b"}, "ROLLCAST_API_KEY"),
+        (["--api-key", "ключ"], {}, "api_key"),
+    ],
+)
+def test_a_wrong_address_or_key_is_named_and_no_proxy(
+    images, capsys, monkeypatch, arguments, environment, named
+):
+    for variable, value in environment.items():
+        monkeypatch.setenv(variable, value)
+    code = main([*arguments, "predict", str(images)])
+    printed = capsys.readouterr()
+    assert (code, printed.out, printed.err.count("\n")) == (1, "", 1)
+    assert named in printed.err
+    assert "proxies" not in printed.err
 
 
 def test_names_that_are_not_utf8_are_printed(images, capsys, tmp_path):

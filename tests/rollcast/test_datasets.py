@@ -1,5 +1,7 @@
 """Data sets of scenes, against the simulations that they were made of."""
 
+import os
+
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -104,6 +106,18 @@ def test_frames_may_be_left_out(simulated, tmp_path):
     assert data[0].image_size == 128
     with pytest.raises(DatasetError, match="has no frames: write it with image_size"):
         data.windows(horizon=2)
+
+
+def test_files_come_by_number_and_hidden_ones_are_passed_over(simulated, tmp_path):
+    for number, sequence in ((10, simulated[0]), (9, simulated[1])):
+        datasets.write(tmp_path / f"part{number}.PARQUET", [sequence])
+    (tmp_path / "._part9.parquet").write_bytes(b"\0\5\x16\7")
+    assert [one.scene.seed for one in datasets.load(tmp_path)] == [
+        sequence.scene.seed for sequence in (simulated[1], simulated[0])
+    ]
+    os.mkfifo(tmp_path / "x.parquet")
+    with pytest.raises(DatasetError, match="is a pipe"):
+        datasets.load(tmp_path)
 
 
 def test_other_files_are_refused(tmp_path, path):

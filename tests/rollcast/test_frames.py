@@ -2,6 +2,7 @@
 
 import io
 import os
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -173,3 +174,16 @@ def test_the_client_sends_files_that_the_service_reads(kind, tmp_path):
     assert (sent == data) == (kind in {"PNG", "JPEG", "WEBP"})
     np.testing.assert_array_equal(decoded(sent), as_frame(data))
     assert encoded(data, None) == sent
+
+
+def test_enormous_pictures_are_refused_by_their_header():
+    image = Image.new("1", (8200, 8200))
+    file = io.BytesIO()
+    image.save(file, "PNG")
+    tracemalloc.start()
+    try:
+        with pytest.raises(FrameError, match="8200 x 8200 pixels, expected at most 64 million"):
+            as_frame(file.getvalue())
+        assert tracemalloc.get_traced_memory()[1] < 10 * 2**20
+    finally:
+        tracemalloc.stop()

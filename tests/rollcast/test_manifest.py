@@ -239,3 +239,9 @@ def test_the_error_at_a_horizon_is_interpolated_and_held_beyond_the_last():
     assert [manifest.error_at(t) for t in (1, 10, 15, 20, 40)] == [1.5, 1.5, 3.5, 5.5, 5.5]
     without = Manifest.model_validate(FIELDS | {"metrics": []})
     assert without.error_at(20) == without.validation_error_px
+
+
+def test_a_byte_order_mark_is_passed_over(tmp_path):
+    path = tmp_path / MANIFEST_FILE
+    path.write_text("\ufeff" + json.dumps(FIELDS), encoding="utf-8")
+    assert Manifest.read(path) == Manifest.model_validate_json(json.dumps(FIELDS))

@@ -122,6 +122,7 @@ class AsyncClient(
         crop: Optional[Literal['square']] = None,
         start_s: float | None = None,
         channels: Literal['rgb', 'bgr'] = 'rgb',
+        camera_hz: float | None = None,
     ) -> rollcast.client.results.Forecast
     async def predict_many(
         self,
@@ -261,6 +262,7 @@ class Client(
         crop: Optional[Literal['square']] = None,
         start_s: float | None = None,
         channels: Literal['rgb', 'bgr'] = 'rgb',
+        camera_hz: float | None = None,
     ) -> rollcast.client.results.Forecast
     def predict_many(
         self,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from rollcast.clip import open_clip
 from rollcast.errors import CropError, FootageEndedError, FootageError
 from rollcast.footage import SquareCrop
 from rollcast.video import camera_rate, frames_at, read_frames
@@ -239,8 +240,8 @@ def test_sound_alone_and_one_picture_are_refused(tmp_path):
     with pytest.raises(FootageError, match="has no video in it"):
         read_frames(sound)
     Image.fromarray(picture(0)).save(tmp_path / "one.png")
-    with pytest.raises(FootageError, match="do not fit"):
-        read_frames(tmp_path / "one.png")
+    with pytest.raises(FootageError, match="is one picture"):
+        open_clip(tmp_path / "one.png")
 
 
 def test_a_spacing_needs_two_frames(tmp_path):

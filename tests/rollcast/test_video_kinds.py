@@ -4,6 +4,7 @@ A white square of SQUARE pixels moves right by STEP pixels a frame over black, s
 its number by where the square is.
 """
 
+import io
 import os
 import struct
 from fractions import Fraction
@@ -16,7 +17,8 @@ from PIL import Image
 from rollcast.clip import open_clip
 from rollcast.errors import FootageError
 from rollcast.footage import read_evenly
-from rollcast.image_sequence import ImageSequence, image_files
+from rollcast.frames import as_frame
+from rollcast.image_sequence import ImageSequence, image_files, numbering_warnings
 from rollcast.video import VideoFile, read_frames
 
 SIDE, SQUARE, STEP, ROW = 128, 16, 4, 24
@@ -93,6 +95,34 @@ def test_an_elementary_stream_needs_its_rate(tmp_path, codec, kind):
 
 def test_slow_motion_has_the_cameras_times(tmp_path):
     assert_whole(open_clip(write(tmp_path / "clip.mp4"), rate=120), rate=120)
+
+
+def exif_jpeg(pixels, orientation):
+    exif = Image.Exif()
+    exif[0x0112], exif[0x010F] = orientation, "Camera"
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "JPEG", exif=exif, quality=95)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, 3), (8, 1)])
+@pytest.mark.parametrize("kind", ["mjpeg", "avi", "mov", "matroska"])
+def test_motion_jpeg_with_exif_is_read_and_turned(tmp_path, kind, orientation, turns):
+    path = tmp_path / "clip"
+    stored = np.rot90(picture(2), -turns)  # what the camera's sensor saw
+    with av.open(path, "w", format=kind) as container:
+        stream = container.add_stream("mjpeg", rate=40)
+        stream.width, stream.height, stream.pix_fmt = SIDE, SIDE, "yuvj420p"
+        for number in range(8):
+            packet = av.Packet(exif_jpeg(stored, orientation))
+            packet.pts = packet.dts = number
+            packet.time_base, packet.stream = Fraction(1, 40), stream
+            packet.is_keyframe = True
+            container.mux(packet)
+    shown = [frame.load() for frame in VideoFile(path, camera_hz=40).frames()]
+    assert len(shown) == 8
+    for frame in shown:
+        assert np.abs(frame.astype(int) - picture(2)).max() < 60
 
 
 def test_a_thumbnail_is_not_the_video(tmp_path):
@@ -186,7 +216,9 @@ def test_pictures_are_turned_and_mirrored_as_their_display_matrix_says(
     assert corner(1, -1) < 16 > corner(1, 1)
 
 
-@pytest.mark.parametrize(("tag", "space"), [(1, "ITU709"), (5, "ITU601"), (6, "ITU601")])
+@pytest.mark.parametrize(
+    ("tag", "space"), [(1, "ITU709"), (5, "ITU601"), (6, "ITU601"), (9, 9), (10, 9)]
+)
 def test_colors_are_those_of_the_files_tag(tmp_path, tag, space):
     color = np.array([200, 60, 30], np.uint8)
     path = tmp_path / "clip.mp4"
@@ -294,6 +326,37 @@ def test_numbers_that_count_no_images_leave_no_gaps(tmp_path, names):
     assert clip.warnings == []
 
 
+@pytest.mark.parametrize(
+    ("pattern", "others"),
+    [("f{:04}.png", ["calibration.png"]), ("f{:04}.png", ["f3_copy.png", "zz.png"]),
+     ("t{:04}_{:04}.png", []), ("12-00-{:02}_{:04}.png", ["first.png"])],
+)  # fmt: skip
+def test_a_gap_is_seen_beside_other_names_and_numbers(tmp_path, pattern, others):
+    kept = [0, 1, 2, 5, 6, 7, 8]
+    folder = tmp_path / "a"
+    for number in kept:
+        save(folder, [pattern.format(*([7 * number, number] if "_" in pattern else [number]))])
+    save(folder, others)
+    clip = ImageSequence.from_folder(folder, 40)
+    of_pattern = [
+        number
+        for number, path in zip(clip.numbers, image_files(folder), strict=True)
+        if path.name not in others
+    ]
+    assert np.diff(of_pattern).tolist().count(1) >= 4
+    assert np.diff(of_pattern).max() == 3
+    assert any("2 images are missing" in warning for warning in clip.warnings)
+    assert all(any(name in warning for warning in clip.warnings) for name in others)
+
+
+def test_uneven_numbers_without_a_rule_are_told(tmp_path):
+    names = ["33.png", "66.png", "100.png", "200.png", "233.png"]
+    clip = ImageSequence.from_folder(save(tmp_path / "a", names), 40)
+    assert clip.numbers == list(range(5))
+    [warning] = clip.warnings
+    assert "33 to 100 apart" in warning
+
+
 def test_images_named_out_of_order_are_told(tmp_path):
     folder = save(tmp_path / "a", ["frame1.png", "frame10.png", "frame2.png", "frame3.png"])
     clip = open_clip(sorted(folder.iterdir()))
@@ -314,3 +377,47 @@ def test_the_pages_of_a_tiff_file_are_frames(tmp_path):
     first, *rest = [Image.fromarray(picture(number)) for number in range(FRAMES)]
     first.save(tmp_path / "stack.tif", save_all=True, append_images=rest)
     assert_whole(open_clip(tmp_path / "stack.tif", rate=120), rate=120)
+
+
+def test_names_with_enormous_numbers_are_compared_as_whole_numbers():
+    names = [f"{2**63 + step}.png" for step in (0, 1, 4)] + [f"{10**200}.png"]
+    assert "apart" in numbering_warnings(names)[0]
+    assert "order of their numbers" in numbering_warnings([f"{2**63}.png", "5.png"])[0]
+    assert numbering_warnings([]) == numbering_warnings(["a.png"]) == []
+
+
+@pytest.mark.parametrize(("name", "kind"), [("one.png", "PNG"), ("one.jpg", "JPEG")])
+def test_one_picture_is_no_clip(tmp_path, name, kind):
+    Image.fromarray(picture(0)).save(tmp_path / name, kind)
+    with pytest.raises(FootageError, match=r"is one picture, expected a video, a folder"):
+        open_clip(tmp_path / name)
+    (tmp_path / "one.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(99))
+    with pytest.raises(FootageError, match=r"is one picture, expected a video, a folder"):
+        open_clip(tmp_path / "one.heic")
+
+
+def test_joined_image_files_need_a_rate(tmp_path):
+    for number in range(FRAMES):
+        Image.fromarray(picture(number)).save(tmp_path / f"{number}.png")
+    joined = tmp_path / "clip.bin"
+    joined.write_bytes(b"".join((tmp_path / f"{n}.png").read_bytes() for n in range(FRAMES)))
+    with pytest.raises(FootageError, match=r"holds no times.*--rate in the shell"):
+        open_clip(joined)
+    assert_whole(open_clip(joined, rate=40))
+
+
+def test_transparent_video_is_on_white_as_pictures_are(tmp_path):
+    path = tmp_path / "clip.mov"
+    with av.open(path, "w") as container:
+        stream = container.add_stream("qtrle", rate=40)
+        stream.width, stream.height, stream.pix_fmt = SIDE, SIDE, "argb"
+        for number in range(8):
+            rgba = np.dstack([picture(number), np.where(picture(number)[..., 0] > 0, 255, 0)])
+            made = av.VideoFrame.from_ndarray(rgba.astype(np.uint8), format="rgba")
+            made.pts, made.time_base = number, Fraction(1, 40)
+            container.mux(stream.encode(made.reformat(format="argb")))
+        container.mux(stream.encode())
+    shown = next(VideoFile(path).frames()).load()
+    Image.fromarray(rgba.astype(np.uint8)).save(tmp_path / "frame.png")
+    assert (shown == 255).all(), "white on white"
+    assert (as_frame(tmp_path / "frame.png") == 255).all()

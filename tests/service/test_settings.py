@@ -15,8 +15,9 @@ def test_an_unknown_setting_is_refused(monkeypatch):
         Settings()
 
 
-def test_the_variables_of_the_training_are_left_alone(monkeypatch):
-    monkeypatch.setenv("ROLLCAST_RUNS", "/somewhere")
+@pytest.mark.parametrize("name", ["RUNS", "URL", "API_KEY", "CASES"])
+def test_the_variables_of_other_programs_are_ignored(monkeypatch, name):
+    monkeypatch.setenv(f"ROLLCAST_{name}", "/somewhere")
     Settings()
 
 

@@ -32,6 +32,13 @@ def test_every_command_is_on_the_schedule_with_a_quick_part():
             assert not path.startswith(outside), f"make test does not run {path}"
 
 
+def test_what_is_said_to_run_in_ci_runs_there():
+    script = (ROOT / ".ci/run").read_text("utf-8")
+    for target, about in json.loads(SCHEDULE.read_text("utf-8")).items():
+        if "CI" in about["runs"]:
+            assert f"make {target}" in script, target
+
+
 def test_the_tests_that_the_page_names_exist():
     named = set(re.findall(r"\btest_\w+\.py", PAGE.read_text("utf-8")))
     assert len(named) > 30

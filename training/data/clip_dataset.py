@@ -11,6 +11,7 @@ Clips that it does not name are for training; without it, clips are split by the
 """
 
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -231,9 +232,10 @@ def _tracked(folder: Path) -> dict[str, Path]:
     """Return the tracks in a folder by the names of their clips, which are all different."""
     found = [
         path
-        for path in sorted((*folder.rglob(f"*{PARQUET}"), *folder.rglob(f"*{CSV}")))
-        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
-        and (path.suffix == PARQUET or is_csv_of_tracks(path))
+        for path in sorted(folder.rglob("*"))
+        if path.suffix.lower() in (PARQUET, CSV)
+        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+        and (path.suffix.lower() == PARQUET or is_csv_of_tracks(path))
     ]
     clips = Counter(path.with_suffix("") for path in found)
     if twice := [clip for clip, count in clips.items() if count > 1]:
@@ -274,7 +276,7 @@ def _splits(names: Sequence[str], setup: Setup) -> dict[Split, list[str]]:
         return {"training": [name for name in names if name not in taken], **named}
     unseen = {split: max(1, round(share * len(names))) for split, share in UNSEEN.items()}
     # By a hash, so that a clip more leaves the others nearly as they were.
-    mixed = sorted(names, key=lambda name: hashlib.sha256(name.encode()).digest())
+    mixed = sorted(names, key=lambda name: hashlib.sha256(os.fsencode(name)).digest())
     first, second = unseen["validation"], unseen["validation"] + unseen["test"]
     if len(names) <= second:
         raise FootageError(
@@ -324,7 +326,7 @@ def _source(tracks: Path, size: tuple[int, int]) -> Path:
     size of the tracked pictures.
     """
     folder = tracks.with_suffix("")
-    if folder.is_dir():
+    if folder.is_dir() and image_files(folder):
         return folder
     beside = [
         path

@@ -275,7 +275,7 @@ def _from_json(given: InferInput, field: str) -> np.ndarray:
         raise InvalidValueError.at(field, given.data, expected)
     if dtype.kind == "f":
         _check_each(numbers, _is_number, field, "numbers")
-        return np.array(numbers, dtype).reshape(given.shape)
+        return _floats(numbers, dtype, field).reshape(given.shape)
     limits = np.iinfo(dtype)
     expected = f"whole numbers, {limits.min} to {limits.max}"
     if set(map(type, numbers)) != {int}:
@@ -286,6 +286,17 @@ def _from_json(given: InferInput, field: str) -> np.ndarray:
     except OverflowError as error:
         wrong = next(number for number in numbers if not limits.min <= number <= limits.max)
         raise InvalidValueError.at(field, wrong, expected) from error
+
+
+def _floats(numbers: Sequence[Any], dtype: np.dtype, field: str) -> np.ndarray:
+    """Return numbers as floats; those beyond the datatype's range are infinite."""
+    try:
+        with np.errstate(over="ignore"):
+            return np.array(numbers, dtype)
+    except OverflowError as error:  # of an integer
+        largest = float(np.finfo(dtype).max)
+        wrong = next(number for number in numbers if abs(number) > largest)
+        raise InvalidValueError.at(field, wrong, f"numbers up to {largest:g}") from error
 
 
 def _check_each(

@@ -8,14 +8,12 @@ from service.state import ServiceState
 router = APIRouter(prefix="/health", tags=["health"])
 
 
-@router.head("/live", include_in_schema=False)
 @router.get("/live")
 async def live() -> Health:
     """Answer as long as the process runs."""
     return Health(status="live")
 
 
-@router.head("/ready", include_in_schema=False)
 @router.get("/ready", responses={status.HTTP_503_SERVICE_UNAVAILABLE: {"model": Health}})
 async def ready(service: ServiceState, response: Response) -> Health:
     """Answer 200 when forecasts are answered; 503 while loading, draining, or with no model."""

@@ -35,7 +35,6 @@ REVALIDATED = {"Cache-Control": "no-cache"}
 router = APIRouter(include_in_schema=False)
 
 
-@router.head("/")
 @router.get("/")
 async def home(request: Request) -> Response:
     """Return the page."""

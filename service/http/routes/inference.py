@@ -75,14 +75,12 @@ async def server_metadata() -> ServerMetadata:
     return ServerMetadata(name="rollcast", version=API_VERSION, extensions=extensions)
 
 
-@router.head("/health/live", include_in_schema=False)
 @router.get("/health/live")
 async def server_live() -> ServerLive:
     """Answer as long as the process runs."""
     return ServerLive(live=True)
 
 
-@router.head("/health/ready", include_in_schema=False)
 @router.get(
     "/health/ready", responses={status.HTTP_503_SERVICE_UNAVAILABLE: {"model": ServerReady}}
 )

@@ -9,7 +9,6 @@ from service.state import ServiceState
 router = APIRouter(include_in_schema=False)
 
 
-@router.head(PATH)
 @router.get(PATH)
 async def metrics(service: ServiceState) -> Response:
     """Return all figures in Prometheus' text format."""

@@ -1,5 +1,6 @@
 """``POST /predict`` and ``/predict/stream``: four frames in, a forecast out."""
 
+import logging
 from collections.abc import AsyncGenerator, Callable
 from concurrent.futures import Future
 
@@ -25,6 +26,7 @@ from service.inference.deadlines import CancellationToken, ClientGoneError, answ
 from service.inference.scheduler import Job
 from service.state import AppState, ServiceState
 
+log = logging.getLogger(__name__)
 router = APIRouter(tags=["forecast"])
 
 PROBLEMS = problems_of(400, 401, 403, 404, 408, 413, 415, 422, 429, 503, 504)
@@ -116,7 +118,11 @@ async def _lines(
             yield _event(first)
         async for event in rest:
             yield _event(event)
-    except ServiceError as error:
+    except ClientGoneError:
+        pass
+    except Exception as error:
+        if not isinstance(error, ServiceError):
+            log.error("a stream failed", exc_info=error)
         yield format_sse_event(event="error", data_str=document(error))
     finally:
         await rest.aclose()

@@ -62,9 +62,9 @@ async def simulate_scene(request: Request, service: ServiceState) -> Response:
     except SceneRejectedError as error:
         raise SceneRejectedProblem.at("seed", body.seed, f"another one: {error}") from error
     except BrokenProcessPool as error:
-        lost = "The simulation process died or cannot be started; the next request starts a new "
-        "one."
-        raise SimulationLostError(lost) from error
+        raise SimulationLostError(
+            "The simulation process died or cannot be started; the next request starts a new one."
+        ) from error
     return Response(content, media_type=JSON)
 
 

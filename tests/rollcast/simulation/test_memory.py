@@ -4,8 +4,12 @@ Measured in processes of their own: what other tests freed can be taken again at
 """
 
 import multiprocessing
+import tracemalloc
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+import pytest
 
 from rollcast.scene import SCENARIOS, Scene
 from rollcast.simulation.physics import World
@@ -58,3 +62,18 @@ def test_memory_stays_flat_over_several_hundred_scenes(simulator):
 def test_memory_is_given_back_with_the_client(simulator):
     scene = simulator.sequence("hemisphere", 1, 3, 4).scene
     assert in_a_process(growth_over_worlds, scene, 4, 12) < 4
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_the_memory_of_rendering_grows_with_the_frame_alone(simulator, scenario):
+    sequence = simulator.sequence(scenario, 1, 3, 4)
+    tracemalloc.start()
+    try:
+        (frame, *_) = sequence.render(1024)
+        peak_mib = tracemalloc.get_traced_memory()[1] / 2**20
+    finally:
+        tracemalloc.stop()
+    assert peak_mib < 150  # 1,024 x 1,024 points and colours as float32 are 40
+    (whole, *_) = sequence.render(128)
+    of_blocks = frame.reshape(128, 8, 128, 8, 3).mean(axis=(1, 3))
+    assert np.abs(of_blocks - whole).mean() < 3, "the strips fit together"

@@ -193,6 +193,13 @@ def test_a_table_of_tracks_is_read_as_it_was_written(four, tmp_path, suffix):
         np.testing.assert_array_equal(getattr(again, name), getattr(tracks, name))
 
 
+def test_a_table_with_the_former_key_of_colors_is_read(four, tmp_path):
+    four[1].tracks.write(tmp_path / "four.csv")
+    text = (tmp_path / "four.csv").read_text()
+    (tmp_path / "old.csv").write_text(text.replace('"colors"', '"colours"'))
+    assert Tracks.read(tmp_path / "old.csv").colors == four[1].tracks.colors
+
+
 @pytest.mark.parametrize("suffix", [".parquet", ".csv"])
 @pytest.mark.parametrize(
     "content", [b"", b"not a table", b"# {\nclip\n", b"# {}\nclip,x\n1,2\n", NO_COLORS]

@@ -380,3 +380,8 @@ def test_a_query_that_is_no_text_gets_an_answer(client, path):
     answer = TestClient(Server(client.app), raise_server_exceptions=False).get(path)
     assert asked["query_string"] == b"\xff\xfe"
     assert answer.status_code in {200, 404, 405}
+
+
+def test_a_byte_order_mark_is_passed_over(client):
+    text = "\ufeff" + json.dumps(body(horizon=3))
+    assert client.post("/predict", **raw(text.encode())).status_code == 200

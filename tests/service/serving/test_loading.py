@@ -12,7 +12,7 @@ import pytest
 
 from rollcast.manifest import CARD_FILE, ENCODER_FILE, GOLDEN_FILE, HASHED_FILES, MANIFEST_FILE
 from rollcast.rollout import roll_out
-from service.serving.loading import begin_loading, load_registry
+from service.serving.loading import begin_loading, load_registry, model_names
 from tests.service.samples import DotPredictor, dot, manifest
 
 FRAMES = np.stack([dot(40 + 2 * index, 60 + index) for index in range(4)])[None]
@@ -205,3 +205,27 @@ def test_what_is_no_regular_file_is_refused_at_once(write, tmp_path, name, kind)
     assert time.monotonic() - began < 10
     assert served.label == "good@1"
     assert name in refused.reason or "directory" in refused.reason
+
+
+@pytest.mark.parametrize(
+    "name", [b"caf\xff", b"a\nb", b".hidden", b"auto", b"a@b", b"a b", "größe".encode(), b"x" * 200]
+)
+def test_a_folder_that_no_request_can_name_is_left_out_and_told(write, tmp_path, caplog, name):
+    write()
+    shutil.copytree(tmp_path / "dot", tmp_path / os.fsdecode(name))
+    assert [model.label for model in load(tmp_path).models] == ["dot@1"]
+    assert model_names(tmp_path) == {"dot"}
+    (record,) = caplog.records
+    message = record.getMessage()
+    assert ascii(os.fsdecode(name)) in message
+    assert message.isascii()
+    assert message.isprintable()
+
+
+def test_what_is_refused_is_logged_when_the_models_are_handed_over(write, tmp_path, caplog):
+    (write() / ENCODER_FILE).unlink()
+    hand_over = begin_loading(tmp_path)
+    time.sleep(0.5)
+    assert caplog.records == [], "logging may not be configured before"
+    hand_over(tmp_path)
+    assert "dot@1 is refused" in caplog.text

@@ -1,6 +1,7 @@
 """Folders of clips as recorders and file managers leave them: all are found, each with its own."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,26 @@ def test_what_macos_leaves_behind_is_passed_over(tmp_path):
         (rig / f"._c{seed}.mp4").write_bytes(b"\0\5\x16\7")
     (rig / ".DS_Store").write_bytes(b"\0\0\0\1Bud1")
     assert len(all_clips(rig)) == 3
+
+
+def test_suffixes_names_and_empty_folders_of_recorders(tmp_path):
+    rig = tmp_path / "rig"
+    for seed, name in enumerate(["GX010001", "b", "c"]):
+        write_clip(rig, name, seed, ".MP4")
+    (rig / "GX010001").mkdir()
+    (rig / "b.parquet").rename(rig / "b.PARQUET")
+    for suffix in (".MP4", ".parquet"):
+        (rig / f"c{suffix}").rename(rig / os.fsdecode(b"c\xff" + suffix.encode()))
+    clips = all_clips(rig)
+    assert len(clips) == 3
+    assert_balls_are_where_tracks_say(clips)
+
+
+def test_a_pipe_for_tracks_is_refused_at_once(tmp_path):
+    write_clip(tmp_path / "rig", "c0", 0)
+    os.mkfifo(tmp_path / "rig" / "x.parquet")
+    with pytest.raises(FootageError, match=r"x\.parquet is a pipe"):
+        load_clips(tmp_path / "rig")
 
 
 def test_of_two_videos_of_one_name_the_tracked_one_is_taken(tmp_path):

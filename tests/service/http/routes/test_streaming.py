@@ -91,6 +91,32 @@ def test_a_forecast_that_diverges_ends_with_an_error_event(start):
     assert client.post("/predict", json=body(horizon=3)).status_code == 200
 
 
+class Failing(samples.DotPredictor):
+    """Fails at step 3 for a reason that is no refusal."""
+
+    failure: type[Exception] = RuntimeError
+
+    def step(self, state):
+        step = super().step(state)
+        if step.outputs["positions"][0, 0, 0] >= 52:
+            raise self.failure
+        return step
+
+
+@pytest.mark.parametrize("failure", [RuntimeError, ZeroDivisionError, MemoryError, KeyError])
+def test_a_stream_that_fails_ends_with_an_error_event(start, caplog, monkeypatch, failure):
+    monkeypatch.setattr(Failing, "failure", failure)
+    client = start(only(Failing))
+    wait_until_ready(client)
+    *steps, (last, problem) = events_of(client.post("/predict/stream", json=body(horizon=9)).text)
+    assert {name for name, _ in steps} == {"step"}
+    assert len(steps) <= 3
+    assert last == "error"
+    assert problem["status"] in (500, 503)
+    assert [record.exc_info[0] for record in caplog.records if record.exc_info] == [failure]
+    assert client.post("/predict/stream", json=body(horizon=3)).status_code == 200
+
+
 class Slow(samples.DotPredictor):
     """Takes its time for every step, and counts them."""
 
