@@ -336,7 +336,7 @@ def test_an_overloaded_service_is_told(open_camera: OpenCamera):
         page = open_camera(limited)
         start(page)
         told(page, "The service is overloaded: ")
-        expect(page.locator("#camera-said")).to_contain_text(re.compile(r"asked again in \d+ s"))
+        expect(page.locator("#camera-said")).to_contain_text(re.compile(r"Next attempt in \d+ s"))
         assert live_tracks(page) == 1, "the picture goes on"
         page.click("#camera-stop")
         expect(page.locator("#camera-said")).to_have_text("")

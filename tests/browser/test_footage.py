@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import re
 import shutil
 import zipfile
 from collections.abc import Iterator
@@ -156,7 +157,9 @@ def test_a_dropped_video(
     errors = np.linalg.norm(positions - truth, axis=-1)
     assert np.nanmean(errors[:20]) < within_px, errors
     assert "blended" not in page.locator("#notes").inner_text()
-    expect(page.locator("#horizon-text")).to_have_text(f"40 steps, {40 / rate:.2f} s")
+    expect(page.locator("#horizon-text")).to_have_text(
+        re.compile(rf"40 steps, {40 / rate:.1f}\d? s")
+    )
     # Every frame is one that the camera took.
     for sent, taken in zip(sent_frames(page), decoded(clips[rate])[:4], strict=True):
         assert np.abs(sent - taken).mean() < 3

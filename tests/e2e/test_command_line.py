@@ -151,7 +151,7 @@ def test_a_terminal_sees_progress_and_a_pipe_does_not(address, video, tmp_path):
         assert run.stdout is not None
         printed = run.stdout.read()
     assert run.returncode == 0
-    assert b"waiting for the service" in seen
+    assert b"waiting for the forecast" in seen
     assert b"drawing" in seen
     assert "\x1b" not in printed
 

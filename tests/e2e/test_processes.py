@@ -21,7 +21,7 @@ from tests.e2e.workers import MODEL, Service, change, connect_to_each, statuses,
 from tests.service.samples import body
 
 PROCESSES = 2
-ASKED = body(horizon=3)
+ASKED = body(horizon=3, model=MODEL)
 
 
 @pytest.fixture(scope="module")

@@ -316,8 +316,8 @@ Usage: rollcast predict [OPTIONS] {VIDEO|FOLDER|IMAGES}...
   Forecast balls in a video or in images.
 
   Reads four frames, requests a forecast from a running service, prints the path and, with --out,
-  draws it over the footage. With --ball, or a model for any number of balls, whole pictures are
-  sent, and rings show where the balls were seen.
+  draws it over the footage. A model for any number of balls (any-ball) is sent whole pictures,
+  and rings show where it saw the balls.
 
   Examples:
     rollcast predict clip.mp4 --start 2.0 --crop 100,0,480 --out overlay.png
@@ -340,9 +340,9 @@ Options:
                                   elementary streams, which do not state it, and slow motion,
                                   which is stored at a lower rate
   --crop X,Y,SIZE                 square crop given to the model: left column, top row, side, in
-                                  pixels (default: the largest in the centre, the whole picture
-                                  with --ball or a model for any number of balls); for other
-                                  models the bowl or plane should just fill it
+                                  pixels (default: the whole picture for a model for any number of
+                                  balls, otherwise the largest square in the centre, which the
+                                  bowl or plane should just fill)
   --final STEP                    give the model the frame of this step too, to interpolate the
                                   path: 39 with one ball, 29 with two or three
   --horizon STEPS                 number of steps to forecast, at the frame rate (default:
